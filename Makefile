@@ -9,6 +9,8 @@ endif
 
 # As `flightstack` sets it: a second BLAS thread turns idly beside a busy core, which took two thirds more processor time.
 export OPENBLAS_NUM_THREADS ?= 1
+# Kept whatever the environment says: without bytecode each of the many processes that tests start compiles 300 modules.
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: attack bench bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean close-gap client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-frozen gap-recorded gap-rotorpy gap-rough gap-sensitivity help house mutants paper px4 replay same screenshots test tune

@@ -3,9 +3,8 @@
 From the ground the vehicle climbs straight up to the height at which the trajectory starts, turning to its yaw (by more
 than the climb has time for afterwards, in a high climb at a steady speed: on the ground it can't), waits a moment, then
 runs up by one minimum-snap segment to the trajectory's whole first state (position to jerk), so that tracking begins
-without a step.  After the trajectory the reference brakes
-and stands still; by then the companion has been told "done" and lands.  Time is seconds since take-off began;
-coordinates are those of the vehicle's estimate.
+without a step.  After the trajectory the reference brakes and stands still; by then the companion has been told "done"
+and lands.  Time is seconds since take-off began; coordinates are those of the vehicle's estimate.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def test_kills_at_random_moments_of_a_figure_8_are_harmless(tmp_path: Path) -> N
 
 def test_without_the_dead_man_the_same_kills_tip_the_vehicle_over(tmp_path: Path) -> None:
     worst = 0.0
-    for moment_s in MOMENTS_S[:4]:
+    for moment_s in MOMENTS_S[:2]:
         flight = GuardedFlight(tmp_path, "figure8", dead_man=False)
         flight.begin(moment_s)
         killed_us = flight.flight.t_us

@@ -71,11 +71,13 @@ def test_with_a_right_model_the_true_error_stays_below_3_cm_rms(scenario: str, t
 
 
 SHIPPED = files.shipped_names("scenarios")
+GPS_ONLY = "gps-barrier"
+"""Its region is made for those sensors, and its climb of 20 m is the longest."""
 
 
 @pytest.mark.parametrize(
     ("sensors", "scenario"),
-    [("mocap", name) for name in SHIPPED if name not in RIGHT_MODEL] + [("gps", name) for name in SHIPPED],
+    [("mocap", name) for name in SHIPPED if name not in (*RIGHT_MODEL, GPS_ONLY)] + [("gps", name) for name in SHIPPED],
 )
 def test_every_shipped_scenario_completes_and_lands(scenario: str, sensors: str, tmp_path: Path) -> None:
     """Those with a right model are flown whole above.
@@ -85,8 +87,8 @@ def test_every_shipped_scenario_completes_and_lands(scenario: str, sensors: str,
     Lower above the ground than GPS knows the height a flight may touch it; then it has not flown what was asked.
     """
     duration_s = 10.0 if scenario == "rotor-drag" else 5.0
-    report = sensors == "mocap"  # one of each scenario
-    learning = report or scenario in ("paper-tracking", "gps-barrier", "payload-drop", "steady-wind")
+    report = sensors == "mocap" or scenario == GPS_ONLY  # one of each scenario
+    learning = report or scenario in ("paper-tracking", "payload-drop", "steady-wind")
     asked = {"sensors": sensors, "learning": learning, "duration_s": duration_s}
     result, log = _fly(tmp_path, scenario, report=report, seed=1, **asked)
     near_ground = sensors == "gps" and scenario in ("excite-low-pass", "low-pass")
