@@ -253,6 +253,9 @@ def _streaming(now: Situation, now_us: int) -> Decision | None:
         return None
     arm_request = now.commands.status(px4.Cmd.COMPONENT_ARM_DISARM)
     if arm_request.accepted and view.mode_at_us > arm_request.answered_us and not view.in_offboard:
+        if now.stalls.is_held and now.stalls.own_hold(view.custom_mode):  # refused, it is disarmed
+            now.stalls.judge(now_us, is_taking_back=False)
+            return Decision(HandshakeEvent.UNFIT, f"stalled while arming: {now.stalls.words}")
         return Decision(
             HandshakeEvent.TOOK_OVER,
             f"the mode changed to {view.mode_name} while arming: leaving the vehicle to the pilot",

@@ -29,6 +29,8 @@ TRUTH_HZ = 100
 ANSWER_S = 5.0
 _HIL_STATE = 115
 _INT32, _REAL32 = 6, 9
+_IDLE_US = 1000
+"""Disarmed it is 900."""
 _EARTH_M_PER_DEG = 111_194.9
 """A metre north, on a sphere of 6371 km; over the few metres of a flight the error is below 1 mm."""
 
@@ -58,6 +60,8 @@ class Px4:
         self.modes: list[tuple[float, int, bool]] = []
         """(local time, custom_mode, armed) of every HEARTBEAT that differs from the one before."""
         self.texts: list[tuple[float, str]] = []
+        self.spins = False
+        """The first motor turns, by SERVO_OUTPUT_RAW: told 50 times a second, where HEARTBEAT comes once."""
         self.silent = False
         """No heartbeat is sent: PX4 loses its ground station."""
         self.version = ""
@@ -222,6 +226,8 @@ class Px4:
                 self.modes.append((at_s, *now))
             if message.system_status == 3 and self.truth:
                 self._ready.set()
+        elif kind == "SERVO_OUTPUT_RAW":
+            self.spins = message.servo1_raw >= _IDLE_US
         elif kind == "STATUSTEXT":
             self.texts.append((at_s, message.text.strip()))
         elif kind == "AUTOPILOT_VERSION":

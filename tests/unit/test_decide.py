@@ -123,6 +123,12 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.STREAMING, {"mode_at_us": 3}, {"asked": {ARMING: {"accepted": False, "answered_us": 2}}}, 0.6, None),
     (State.STREAMING, {"mode_at_us": 3, "in_offboard": True},
      {"asked": {ARMING: {"accepted": True, "answered_us": 2}}}, 0.6, None),
+    (State.STREAMING, {"mode_at_us": 3, "custom_mode": px4.MODE_HOLD},
+     {"asked": {ARMING: {"accepted": True, "answered_us": 2}}, "stalls": {"is_held": True}}, 0.6, E.UNFIT),
+    (State.STREAMING, {"mode_at_us": 3, "custom_mode": px4.MODE_LAND},
+     {"asked": {ARMING: {"accepted": True, "answered_us": 2}}, "stalls": {"is_held": True}}, 0.6, E.TOOK_OVER),
+    (State.STREAMING, {"mode_at_us": 3, "custom_mode": px4.MODE_HOLD},
+     {"asked": {ARMING: {"accepted": True, "answered_us": 2}}}, 0.6, E.TOOK_OVER),
     (State.OFFBOARD, FLYING, {}, 1.0, None),
     (State.OFFBOARD, FLYING, {"foreign_system": 2, "rival": "another"}, 1.0, None),  # in flight nobody is refused
     (State.OFFBOARD, FLYING, {"mission_done": True}, 1.0, E.MISSION_DONE),

@@ -38,7 +38,7 @@ _READY_LIMIT_S, _LAND_LIMIT_S = 60.0, 40.0
 _ATTEMPTS = 3
 """A flight that ends before its moment (a busy machine) is flown again."""
 _LAND = (176, 129.0, 4.0, 6.0)
-_OFFBOARD_MAIN = 6
+OFFBOARD_MAIN = 6
 _RESULT = "seen.json"
 
 
@@ -143,10 +143,10 @@ def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times:
             os.kill(process.pid, signal.SIGCONT)
         watched_s = time.monotonic() - began_s + _WATCH_S if times > 1 else _WATCH_S
         time.sleep(max(0.0, began_s + watched_s - time.monotonic()))
-        taken_back = not math.isinf(stall_s) and px4.mode >> 16 & 0xFF == _OFFBOARD_MAIN
+        taken_back = not math.isinf(stall_s) and px4.mode >> 16 & 0xFF == OFFBOARD_MAIN
         seen = _judge(list(px4.truth), (began_s, watched_s), stall_s, taken_back)
     finally:
-        _bring_down(px4, process)
+        bring_down(px4, process)
     said = " ".join((folder / "companion.txt").read_text().split())[-160:]
     seen = seen._replace(said=said, times=times)
     (folder / _RESULT).write_text(json.dumps(seen._asdict()))
@@ -180,7 +180,7 @@ def _judge(truth: list[Truth], watched: tuple[float, float], stall_s: float, tak
     )
 
 
-def _bring_down(px4: Px4, process: subprocess.Popen[bytes]) -> None:
+def bring_down(px4: Px4, process: subprocess.Popen[bytes]) -> None:
     """Land by the companion where it flies, else by PX4, and wait until it is disarmed."""
     if process.poll() is None:
         process.send_signal(signal.SIGCONT)

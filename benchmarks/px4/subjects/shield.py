@@ -25,12 +25,12 @@ ASKED = (
     "latency p99 1 ms."
 )
 RUNS = 3
-_SITE = """schema = "flightstack.site/1"
+SITE = """schema = "flightstack.site/1"
 floor_m = 0.3
 ceiling_m = 20.0
 inside = [[-30.0, -20.0], [30.0, -20.0], [30.0, 20.0], [-30.0, 20.0]]
 """
-_MASS_KG, _PORT = 0.7, 14640
+MASS_KG, _PORT = 0.7, 14640
 _PROGRAM = Path(__file__).parents[3] / "tests" / "client" / "shielded_program.py"
 _KILLED, _STOPPED, _ENDED = _DEEDS = ("killed", "stopped for 0.3 s", "ended by SIGTERM")
 _WATCH_S, _REST_S, _LIMIT_S = 1.0, 9.0, 60.0
@@ -53,9 +53,10 @@ def _row(deed: str, seen: list[dict[str, float]]) -> Row:
     return Row(f"shield {deed}, worst", words, good, len(seen))
 
 
-def _vehicle(folder: Path) -> Path:
+def light_vehicle(folder: Path) -> Path:
+    """The vehicle file of such a mass, written into `folder`."""
     text = load_vehicle("px4-sihsim-quadx")[1].text
-    lines = [f"mass_kg = {_MASS_KG}" if line.startswith("mass_kg") else line for line in text.splitlines()]
+    lines = [f"mass_kg = {MASS_KG}" if line.startswith("mass_kg") else line for line in text.splitlines()]
     file = folder / "light.toml"
     file.write_text("\n".join(lines) + "\n")
     return file
@@ -63,11 +64,18 @@ def _vehicle(folder: Path) -> Path:
 
 def _flight(bench: Bench, deed: str) -> dict[str, float]:
     folder = log_folder(bench, "shield")
-    (folder / "field.toml").write_text(_SITE)
-    with Px4(bench, params={"SIH_MASS": _MASS_KG}) as px4:
+    (folder / "field.toml").write_text(SITE)
+    with Px4(bench, params={"SIH_MASS": MASS_KG}) as px4:
         words = [*bench.prefix, sys.executable, "-m", "flightstack", "shield", "--connect", px4.address]
         words += ["--serve", f"udpout:127.0.0.1:{_PORT}", "--site", str(folder / "field.toml")]
-        words += ["--vehicle", str(_vehicle(folder)), "--sensors", "px4-sih-ekf", "--json", str(folder / "shield.json")]
+        words += [
+            "--vehicle",
+            str(light_vehicle(folder)),
+            "--sensors",
+            "px4-sih-ekf",
+            "--json",
+            str(folder / "shield.json"),
+        ]
         shield = subprocess.Popen(words, stdout=(folder / "shield.txt").open("wb"), stderr=subprocess.STDOUT)
         said = (folder / "program.txt").open("wb")
         program = subprocess.Popen([sys.executable, str(_PROGRAM), f"udpin:127.0.0.1:{_PORT}", "8"], stdout=said)
