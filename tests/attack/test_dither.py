@@ -12,11 +12,12 @@ from benchmarks import attack_adversary
 from benchmarks.attack_adversary import GRADIENT, INNER, KNOWN, NOISE, PUSH, SINE, SQUARE, Strategy
 from benchmarks.attack_flight import AttackFlight
 from benchmarks.attack_worlds import World
+from tests.thorough import thorough
 
 pytestmark = pytest.mark.attack
 
 
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", [0, thorough(3)])
 def test_the_known_dither_does_not_take_the_vehicle_out(seed: int) -> None:
     held(attacked(World(0), seed, KNOWN))
 
@@ -26,7 +27,9 @@ def test_nor_does_it_on_the_other_plant() -> None:
     held(attacked(World(0, plant="jsbsim"), 0, KNOWN))
 
 
-@pytest.mark.parametrize(("wave", "hz", "radps"), [(SQUARE, 5.0, 3.0), (SINE, 15.0, 6.0), (NOISE, 8.0, 6.0)])
+@pytest.mark.parametrize(
+    ("wave", "hz", "radps"), [(SQUARE, 5.0, 3.0), thorough(SINE, 15.0, 6.0), thorough(NOISE, 8.0, 6.0)]
+)
 def test_nor_do_stronger_and_other_ones(wave: int, hz: float, radps: float) -> None:
     strategy = KNOWN._replace(wave=wave, hz=hz, roll_radps=radps, pitch_radps=radps, phase_rad=0.5 * math.pi)
     held(attacked(World(0), 1, strategy))
@@ -37,7 +40,7 @@ def leaning() -> AttackFlight:
     return engaged(World(0), 503)
 
 
-@pytest.mark.parametrize("k", [16, 7, 3])
+@pytest.mark.parametrize("k", [16, thorough(7), thorough(3)])
 def test_who_leans_and_drops_the_thrust_does_not_end_the_protection(leaning: AttackFlight, k: int) -> None:
     """Each of them took the lean (0.11 beyond it) or the thrust out of the certificate's, and with it the protection,
     where the governor let the turning of one lateral axis take the other's, and thrust fell below the budget's; the

@@ -14,6 +14,7 @@ from benchmarks.attack_flight import AttackFlight, Outcome
 from benchmarks.attack_worlds import World
 from flightstack.barrier.premise_watch import NAMES
 from flightstack.types import TickRecord
+from tests.thorough import thorough
 
 pytestmark = pytest.mark.attack
 
@@ -44,7 +45,7 @@ def struck(
     return Outcome(**apart(lambda: asdict(flight.attack(strategy, seconds, each))))
 
 
-@pytest.mark.parametrize("strategy", [PUSH, KNOWN])
+@pytest.mark.parametrize("strategy", [PUSH, thorough(KNOWN)])
 def test_estimates_are_as_good_as_the_certificate_says(flight: AttackFlight, strategy: Strategy) -> None:
     outcome = struck(flight, strategy)
     held(outcome)
@@ -52,7 +53,7 @@ def test_estimates_are_as_good_as_the_certificate_says(flight: AttackFlight, str
     assert outcome.premises_true >= 0.999 * outcome.premises, outcome
 
 
-@pytest.mark.parametrize("strategy", [SWITCH, AT_RANDOM])
+@pytest.mark.parametrize("strategy", [SWITCH, thorough(AT_RANDOM)])
 def test_commands_under_way_on_a_late_link_leave_estimates_as_good(late: AttackFlight, strategy: Strategy) -> None:
     """With the force last measured 9 to 11 % of the ticks were beyond the bounds."""
     outcome = struck(late, strategy)
@@ -62,7 +63,7 @@ def test_commands_under_way_on_a_late_link_leave_estimates_as_good(late: AttackF
 
 
 @pytest.mark.parametrize(("share", "over_s"), [(0.92, 0.0), (0.9, 0.0), (0.92, 10.0)])
-@pytest.mark.parametrize("seed", [6, 7])
+@pytest.mark.parametrize("seed", [7, thorough(6)])
 def test_thrust_that_is_lost_at_once_or_little_by_little_is_noticed_inside(
     seed: int, share: float, over_s: float, request: pytest.FixtureRequest
 ) -> None:

@@ -11,6 +11,7 @@ from attacked import attacked, held
 
 from benchmarks.attack_adversary import ALONG, GRADIENT, INNER, OUTWARD, SINE, SQUARE, SWING, Strategy
 from benchmarks.attack_worlds import World
+from tests.thorough import thorough
 
 pytestmark = pytest.mark.attack
 SPEED_ACROSS = (1, 2)
@@ -20,8 +21,8 @@ SPEED_ACROSS = (1, 2)
 @pytest.mark.parametrize(
     ("vertical", "wave", "gate_h", "together"),
     [
-        (GRADIENT, SINE, 2.0, False), (GRADIENT, SQUARE, 0.25, True), (OUTWARD, SINE, 0.2, True),
-        (ALONG, SQUARE, 0.5, False), (SWING, SINE, 0.4, True),
+        (GRADIENT, SINE, 2.0, False), thorough(GRADIENT, SQUARE, 0.25, True), thorough(OUTWARD, SINE, 0.2, True),
+        thorough(ALONG, SQUARE, 0.5, False), (SWING, SINE, 0.4, True),
     ],
 )  # fmt: skip
 def test_dither_timed_or_not_does_not_take_it_out(vertical: int, wave: int, gate_h: float, together: bool) -> None:
