@@ -80,6 +80,16 @@ def test_single_wrong_stamps_are_left_out(tmp_path: Path) -> None:
     assert not set(log.tables["vehicle_attitude"]["true_us"].astype(int)) & wrong
 
 
+@pytest.mark.parametrize("stamp_us", [2**63 + 5, 2**64 - 1])
+def test_stamps_that_no_clock_has_are_left_out_however_many(stamp_us: int, tmp_path: Path) -> None:
+    """They were summed into times beyond 64 bits."""
+    log = spoilt(tmp_path, lambda _, t: stamp_us if t // 1000 % 100 < 60 else t)
+    table = log.tables["vehicle_attitude"]
+    assert len(table) == pytest.approx(0.4 * SECONDS * 1e6 / PERIODS_US["vehicle_attitude"], rel=0.01)
+    assert not late_us(log, "vehicle_attitude").any()
+    assert any("another clock" in note for note in log.notes)
+
+
 def test_topics_that_lie_one_behind_the_other_in_the_file_count_until_their_clock_goes_back(tmp_path: Path) -> None:
     """A converter's file: nothing is known of it but each topic's own order."""
     rows = np.arange(BEGINS_US, BEGINS_US + 8_000_000, 5000)

@@ -31,6 +31,8 @@ _SAME_JUMP = 50
 """Places within which two steps back are one jump: topics see it one after the other."""
 _MOST_BACK = 50.0
 """Usual steps that a topic with a clock of its own may go back by."""
+_MOST_US = 3e15
+"""A century: no clock since 1970 has a later stamp."""
 _APART_US = 1e6
 """Put between what was stamped before a clock went back and what came after: nobody knows how long that took."""
 
@@ -52,8 +54,10 @@ class Restamped:
     keep: NDArray[np.bool_]
 
 
-def on_one_clock(topics: Sequence[Stamped]) -> tuple[list[Restamped], list[str]]:
+def on_one_clock(stamped: Sequence[Stamped]) -> tuple[list[Restamped], list[str]]:
     """What must be done to the stamps of each topic, and in words what was wrong; nothing where nothing was."""
+    sane = [each.t_us < _MOST_US for each in stamped]
+    topics = [Stamped(each.name, each.place[ok], each.t_us[ok]) for each, ok in zip(stamped, sane, strict=True)]
     fast = [each for each in topics if _is_fast(each.t_us)]
     place, clock = _clock(_fastest(fast)) if fast else (np.zeros(0, np.int64), np.zeros(0))
     out = []
@@ -64,8 +68,16 @@ def on_one_clock(topics: Sequence[Stamped]) -> tuple[list[Restamped], list[str]]
         near = _near(each, place, clock)
         added = _added(clock)[near]
         out.append(Restamped(added, _believed(each.t_us + added, clock[near] + added, each.place >= place[0])))
+    out = [_among(done, ok) for done, ok in zip(out, sane, strict=True)]
     off = {each.name: int(np.sum(~done.keep)) for each, done in zip(topics, out, strict=True) if not np.all(done.keep)}
     return out, [*_says_back(clock), *_says_off(off)]
+
+
+def _among(done: Restamped, sane: NDArray[np.bool_]) -> Restamped:
+    """The same for all messages of a topic, of which those that are not sane are not believed."""
+    added, keep = np.zeros(len(sane)), np.zeros(len(sane), np.bool_)
+    added[sane], keep[sane] = done.added_us, done.keep
+    return Restamped(added, keep)
 
 
 def _usual_us(t_us: F64) -> float:
