@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 
 from threadpoolctl import threadpool_limits
@@ -20,10 +20,15 @@ class Pace:
 
     A late loop skips deadlines, it never queues old ones.  A simulator may be patient instead: it catches up as long
     as it is not more than `patience_us` behind, so that its clock keeps its rate on a busy machine.
+
+    `meanwhile` is told before each sleep when it ends, in `monotonic_us`: what others of the program may do until then.
     """
 
-    def __init__(self, period_us: float, *, patience_us: float = 0.0) -> None:
+    def __init__(
+        self, period_us: float, *, patience_us: float = 0.0, meanwhile: Callable[[int], None] = lambda until_us: None
+    ) -> None:
         self.period_us = period_us
+        self._meanwhile = meanwhile
         self._patience_us = patience_us
         self.missed = 0
         """Deadlines that passed without a tick."""
@@ -44,6 +49,7 @@ class Pace:
             skipped = int(behind // self.period_us)
             self.missed += skipped
             self._deadline_us += skipped * self.period_us
+        self._meanwhile(int(self._deadline_us))
         sleep_until_us(int(self._deadline_us))
         before_us, self._began_us = self._began_us, monotonic_us()
         self.between_us = self._began_us - before_us if before_us >= 0 else 0

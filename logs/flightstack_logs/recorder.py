@@ -52,6 +52,9 @@ class Recorder(Protocol):
     def result(self, attachment: Attachment) -> None:
         """What the flight came to; written when the log is closed."""
 
+    def meanwhile(self, until_us: int) -> None:
+        """The loop sleeps until then, by time.monotonic."""
+
     def close(self) -> None:
         """Finish the file; again does nothing."""
 
@@ -71,4 +74,4 @@ class NoLog:
     def truth(self, t_us: int, truth: object) -> None:
         """The simulator's truth."""
 
-    write = mavlink = event = statustext = location = scene = certificate = result = close = _not_kept
+    write = mavlink = event = statustext = location = scene = certificate = result = meanwhile = close = _not_kept

@@ -14,6 +14,7 @@ only the last bytes differ.  Rows of another size (a text at their end) stand in
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,9 +69,8 @@ class RowBlocks:
         rows.append((t_us, self._count & 0xFFFF_FFFF, numbers))
         self._count += 1
 
-    def take(self) -> list[tuple[str, bytes]]:
-        """(topic, block) of all that was collected, which is forgotten."""
-        found = []
+    def take(self) -> Iterator[tuple[str, bytes]]:
+        """(topic, block) of all that was collected, which is forgotten; each is made when it is asked for."""
         for key, rows in self._rows.items():
             topic, numbers = key[0], self._numbers.get(key)
             if numbers:
@@ -80,12 +80,11 @@ class RowBlocks:
                     table = table[
                         np.argsort(np.ascontiguousarray(table[:, : _HEAD.size]).view(_HEAD_TYPE)["place"][:, 0])
                     ]
-                found.append((topic, _packed(table)))
+                yield topic, _packed(table)
                 numbers.clear()
             elif rows:
-                found.append((topic, pack(rows)))
+                yield topic, pack(rows)
             rows.clear()
-        return found
 
 
 def _table(rows: list[bytes]) -> NDArray[np.uint8]:

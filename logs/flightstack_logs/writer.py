@@ -79,9 +79,12 @@ class FlightLog:
         self.messages = 0
         self.rejected = 0
         """Records that didn't fit their topic."""
+        self.between_pieces: Callable[[], None] = lambda: None
+        """Called before each piece of a chunk that is closed, which takes a fraction of a millisecond."""
         self._file = file
         self._context = foxglove.Context()
-        self._sink: MCAPWriter = _open_sink(file, self._context, compact)
+        raw: Any = file
+        self._sink: MCAPWriter = foxglove.open_mcap(raw, context=self._context, writer_options=_options(compact))
         self._wire = True
         self._blocks = RowBlocks() if compact else None
         self._block_channels: dict[str, foxglove.Channel] = {}
@@ -222,14 +225,6 @@ class FlightLog:
         if t_us >= channel.copy_due_us and channel.is_shown:
             self._copy(channel, t_us, data)
 
-    def _write_blocks(self) -> None:
-        assert self._blocks is not None
-        for topic, data in self._blocks.take():
-            channel = self._block_channels.get(topic)
-            if channel is None:
-                channel = self._block_channels[topic] = block_channel(topic, self._context)
-            channel.log(data, log_time=self._last_us * 1000)
-
     def declare(self, topic: Topic) -> None:
         """A topic that is not in the table: what another log calls its own."""
         self._declared[topic.name] = topic
@@ -335,10 +330,18 @@ class FlightLog:
             self._guarded(self._flush)
 
     def _flush(self) -> None:
-        if self._blocks is not None:
-            self._write_blocks()
+        for topic, data in () if self._blocks is None else self._blocks.take():
+            self.between_pieces()
+            channel = self._block_channels.get(topic)
+            if channel is None:
+                channel = self._block_channels[topic] = block_channel(topic, self._context)
+            channel.log(data, log_time=self._last_us * 1000)
+        self.between_pieces()
         self._sink.flush()
         self._good_bytes = self._file.tell()
+
+    def meanwhile(self, until_us: int) -> None:
+        """Everything is written at once: nothing is left to do."""
 
     def close(self) -> None:
         """Write the index and close the file; again does nothing."""
@@ -391,8 +394,3 @@ class FlightLog:
 
 def _number_of(severity: str) -> int:
     return SEVERITIES.index(severity) if severity in SEVERITIES else SEVERITIES.index("info")
-
-
-def _open_sink(file: io.RawIOBase, context: foxglove.Context, compact: bool) -> MCAPWriter:
-    raw: Any = file
-    return foxglove.open_mcap(raw, context=context, writer_options=_options(compact))

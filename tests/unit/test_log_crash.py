@@ -5,12 +5,15 @@ import signal
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from log_samples import Truth, tick_record
 
 from flightstack.types import InputError
+from flightstack_logs import threaded
 from flightstack_logs.reader import read
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import FlightLog, Recorder
@@ -222,3 +225,60 @@ except InputError as error:
     assert "File too large" in done.stdout, done.stderr
     assert not (tmp_path / "a.mcap").exists()
     assert issubclass(InputError, ValueError)
+
+
+class _CountingLog(_HangingLog):
+    """Stands in for a log; what it closes a chunk of waits before each piece, as `FlightLog` does."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.written: list[int] = []
+        self.chunks = 0
+
+    def event(self, t_us: int, *_: object) -> None:
+        self.written.append(t_us)
+
+    def flush(self) -> None:
+        self.between_pieces()
+        self.chunks += 1
+
+    between_pieces: Callable[[], None]
+
+
+def _soon(happened: Callable[[], bool], within_s: float = 5.0) -> bool:
+    until_s = time.monotonic() + within_s
+    while not happened() and time.monotonic() < until_s:
+        time.sleep(0.001)
+    return happened()
+
+
+def test_nothing_is_written_while_the_loop_computes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both want the interpreter then, and handing it to and fro cost ticks of 12 to 20 ms."""
+    monkeypatch.setattr(threaded, "_GONE_US", 10**12)
+    monkeypatch.setattr(threaded, "FLUSH_S", 0.0)
+    disk = _CountingLog()
+    log = ThreadedLog(disk)  # type: ignore[arg-type]
+    log.meanwhile(time.monotonic_ns() // 1000)  # no sleep at all: the loop is late
+    time.sleep(0.02)
+    chunks = disk.chunks
+    log.event(1, "", "")
+    time.sleep(0.05)
+    assert disk.written == []
+    assert disk.chunks == chunks
+    log.meanwhile(time.monotonic_ns() // 1000 + 10**9)  # it sleeps
+    assert _soon(lambda: disk.written == [1] and disk.chunks > chunks)
+    log.close()
+
+
+def test_a_loop_that_never_sleeps_or_is_gone_still_has_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threaded, "BACKLOG", 10)
+    monkeypatch.setattr(threaded, "_GONE_US", 10**12)
+    disk = _CountingLog()
+    log = ThreadedLog(disk)  # type: ignore[arg-type]
+    log.meanwhile(time.monotonic_ns() // 1000)
+    for k in range(15):
+        log.event(k, "", "")
+    assert _soon(lambda: len(disk.written) == 5)
+    monkeypatch.setattr(threaded, "_GONE_US", 0)
+    assert _soon(lambda: len(disk.written) == 15)
+    log.close()

@@ -154,6 +154,12 @@ class LiveRecorder:
         if self._log is not None:
             self._log.result(attachment)
 
+    def meanwhile(self, until_us: int) -> None:
+        """The loop sleeps until then, by time.monotonic."""
+        if self._log is not None:
+            self._log.meanwhile(until_us)
+        self._shown.meanwhile(until_us)
+
     def close(self) -> None:
         """Finish the log; nothing is shown any more."""
         if self._log is not None:
