@@ -28,18 +28,26 @@ import numpy as np
 
 from benchmarks.fence_flight import FenceFlight
 from benchmarks.fence_worlds import drawn_attack, drawn_grade, drawn_site, drawn_world
+from flightstack.barrier.response import CHAIN, STATE
 from flightstack.cli.controllers import build
+from flightstack.cli.versions import versions
+from flightstack.jit import njit_called
+from flightstack.rows import F_H, F_INTERVENED, F_STATUS, F_THRUST, F_VERSION
+from flightstack.site import decide as d
 from flightstack.site import slide
-from flightstack.site.clearance import CHUTE, clear_of
+from flightstack.site.clearance import CHUTE, FLOOR, GROUND, OPEN, clear_of
 from flightstack.site.decide import CHANGED, LEFT, PASSED
 from flightstack.site.filter import SiteFilter, SiteState
 from flightstack.site.stopping import Told
-from flightstack.types import Command, Filtered, FlatOutput, InputError, Learned, Measurement
+from flightstack.types import F64, Command, Filtered, FlatOutput, InputError, Learned, Measurement
 
 METHODS = ("site", "px4", "gatekeeper", "backup-cbf")
 _ACC_MPS2, _ACC_UP_MPS2, _JERK_MPS3 = 3.0, 4.0, 4.0
 """PX4's defaults: MPC_ACC_HOR, MPC_ACC_UP_MAX, MPC_JERK_AUTO."""
-_TOLD, _NO_TUBE_M, _NO_ROWS_M = 0.05, -1e6, -1e6
+_TOLD, _NO_ROWS_M = 0.05, -1e6
+_LEFT_M, _PAUSE_US = 0.5, 50_000
+_ALL_SAID = 0.7
+"""`slide` is told that share of the braking there is; the QP's rows are told all."""
 
 
 class _Unbent(SiteFilter):
@@ -73,7 +81,7 @@ class PredictiveFence(_Unbent):
         speed = math.hypot(v[0], v[1])
         ahead[:2] += v[:2] * (speed / (2.0 * _ACC_MPS2) + _ACC_MPS2 / _JERK_MPS3)
         ahead[2] += v[2] * (abs(v[2]) / (2.0 * _ACC_UP_MPS2) + _ACC_UP_MPS2 / _JERK_MPS3)
-        if -place[2] > self.site.floor_m + 0.5:
+        if -place[2] > self.site.floor_m + _LEFT_M:
             state.numbers[LEFT], self._site[CHUTE] = 1.0, -1.0
         disc = np.array([[ahead[0], ahead[1], -ahead[2], 0.0, 0.0]])
         if self._held is None and state.numbers[LEFT] and clear_of(self._site, disc, 1, 1.0)[0] < 0.0:
@@ -90,19 +98,68 @@ class PredictiveFence(_Unbent):
         return state, safe, Filtered(row)
 
 
-def _replaced(flight: FenceFlight, method: str) -> None:
-    """Put another filter into a flight."""
+@njit_called
+def _slid(
+    known: tuple[F64, F64, F64, F64], kept: tuple[F64, F64, F64], site: F64, origin: F64, measured: F64,
+    times_us: tuple[float, float, float], commands: tuple[float, F64, float, F64], buffers: tuple[F64, F64, F64, F64],
+) -> tuple[float, int]:  # fmt: skip
+    """`decide.decide` without a way out: the command slid along what is near, and what moved it."""
+    of, lasting, wanted, into = d.Known(*known), d.Kept(*kept), d.Commands(*commands), d.Buffers(*buffers)
+    n, vehicle, state, offset = lasting.numbers, of.vehicle, np.empty(STATE), np.zeros(3)
+    at, spin = d._now(of, lasting, origin, measured, times_us, wanted), n[d.SPIN : d.SPIN + 2].copy()
+    d._predict(of, lasting, measured, times_us, (state, spin, offset))
+    for i in range(3):
+        n[d.SENT + i], into.rate[i] = wanted.sent_rate[i], wanted.wanted_rate[i]
+    now = d.Now(vehicle[:CHAIN], state, spin, vehicle[d._ROTORS_S], offset, origin, n)
+    keeping = d.Keeping(of.rows[at], of.halves[0], site)
+    if origin[2] - state[2] > site[FLOOR] + _LEFT_M:
+        n[LEFT] = 1.0
+    site[CHUTE] = -1.0 if n[LEFT] > 0.0 else site[OPEN]
+    site[GROUND] = 0.0
+    return d._slid(now, keeping, of.soft[at], vehicle, wanted.wanted_norm, into)
+
+
+class BackupQp(_Unbent):
+    """A QP whose rows say that braking ends before each near thing, and nothing else."""
+
+    def step(
+        self, state: SiteState, measurement: Measurement, command: Command, sent: Command, learned: Learned
+    ) -> tuple[SiteState, Command, Filtered]:
+        """The command that is nearest to the wanted one within the rows."""
+        row = Filtered.nothing().row.copy()
+        row[F_INTERVENED], row[F_THRUST], row[F_STATUS] = 0.0, command.thrust_n, PASSED
+        row[F_H] = row[F_VERSION] = 0.0
+        if command.t_us - state.numbers[d.LAST_US] > _PAUSE_US:
+            self._begin(state, measurement, sent)
+        norm, code = _slid(
+            self._known[0].known, (state.memory, state.numbers, state.committed), self._site, state.origin_ned_m,
+            measurement.row, (float(sent.t_us), float(measurement.t_us), float(command.t_us)),
+            (sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps),
+            (self._scratch, self._way, row, self._rate),
+        )  # fmt: skip
+        if code == d._FREE:
+            return state, command, Filtered(row)
+        row[F_STATUS], row[F_INTERVENED] = CHANGED, 1.0
+        safe, _ = self._limiter.limit(self.model.thrust_of(norm), self._rate, command.t_us)
+        return state, safe, Filtered(row)
+
+
+_KINDS: dict[str, type[SiteFilter]] = {"px4": PredictiveFence, "gatekeeper": _Unbent, "backup-cbf": BackupQp}
+
+
+def replaced(flight: FenceFlight, method: str) -> None:
+    """Put another filter into a flight; `site`: its own stays."""
+    if method == "site":
+        return
     own: SiteFilter = flight.timed._filter
-    kind = PredictiveFence if method == "px4" else _Unbent
     made, plan_of = own.certificate, flight.plan_of
-    other = kind(own.model, own.limits, made, plan_of.site, plan_of.chutes, plan_of.chute_m)
-    known = other._known[0]
+    other = _KINDS[method](own.model, own.limits, made, plan_of.site, plan_of.chutes, plan_of.chute_m)
+    soft = d.Known(*other._known[0].known).soft
     if method == "gatekeeper":
-        known.known.soft[:, slide.RADIUS] = known.known.soft[:, slide.HALF] = _NO_ROWS_M
+        soft[:, slide.RADIUS] = soft[:, slide.HALF] = _NO_ROWS_M
     if method == "backup-cbf":
-        known.known.tubes[:] = _NO_TUBE_M
-        known.known.soft[:, slide.RADIUS] = known.known.soft[:, slide.HALF] = 0.0
-        known.known.soft[:, slide.BRAKE] /= 0.7
+        soft[:, slide.RADIUS] = soft[:, slide.HALF] = 0.0
+        soft[:, slide.BRAKE] /= _ALL_SAID
     flight.timed._filter = other
     flight.state = flight.state._replace(filter=other.init(flight.origin))
 
@@ -111,14 +168,13 @@ def flown(method: str, seed: int, seconds: float, folder: Path) -> dict[str, Any
     """One flight with one method."""
     path = folder / f"site-{seed}.toml"
     path.write_text(drawn_site(seed))
-    found = {"method": method, "seed": seed}
+    found = {"method": method, "seed": seed, "commit": versions()["git_commit"]}
     try:
         world, told = replace(drawn_world(seed, folder), plant="native"), _TOLD if method == "gatekeeper" else 1.0
         flight = FenceFlight(world, path, drawn_attack(seed), Told.all(told))
     except InputError as error:
         return {**found, "refused": str(error)}
-    if method != "site":
-        _replaced(flight, method)
+    replaced(flight, method)
     outcome = flight.run(seconds)
     return {
         **found, "exits": outcome.exits, "ticks": outcome.ticks,
