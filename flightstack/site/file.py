@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,6 +22,11 @@ SCHEMA = "flightstack.site/1"
 MOST_BYTES = 2_000_000
 _CEILING_M = 120.0
 _HEIGHT_M = 10_000.0
+_FOREIGN = ("kml", "kmz", "gpx", "shp", "gpkg", "dxf", "waypoints", "mission", "fence", "csv", "txt", "wkt")
+_LIKE_OURS = re.compile(r"(floor|ceiling)(m|ft|feet|foot|met(er|re)s?|alt(itude)?|height|agl|amsl|msl)*|keepouts?")
+_MOST = 1e9
+"""Of a coordinate: beyond what any map's metres need."""
+_LEAST_M = 0.1
 _ROUND_CORNERS = 64
 """A round fence to stay in is taken as the regular polygon inside it."""
 
@@ -30,10 +36,14 @@ def parse_site(text: str, source: str) -> Site:
     if len(text) > MOST_BYTES:
         raise InputError(f"{source}: {len(text)} bytes hold more than {MOST_EDGES} edges, the most that are taken")
     ending, text = source.lower().rpartition(".")[2], text.removeprefix("\ufeff")
+    if ending in _FOREIGN or text.lstrip()[:1] == "<":
+        raise InputError(
+            f"{source}: a site is .toml, a QGroundControl .plan or GeoJSON (.geojson, .json); export it as one of them"
+        )
     try:
         if ending in ("plan", "geojson", "json"):
             return checked(_from_json(text, source))
-        return checked(_from_toml(text, source))
+        return _require_metres(checked(_from_toml(text, source)))
     except RecursionError:
         raise InputError(f"{source}: nested too deeply") from None
 
@@ -56,6 +66,14 @@ def _from_toml(text: str, source: str) -> Site:
         tuple(_keep_out(each, f"keep_out {i}", source) for i, each in enumerate(keep_outs)),
         _chute(data.get("chute"), source),
     )
+
+
+def _require_metres(site: Site) -> Site:
+    """The site itself; InputError where its corners are degrees that were not said to be."""
+    wide = float(np.ptp(site.inside, axis=0).max())
+    if not site.is_global and wide < _LEAST_M:
+        raise InputError(f'{site.source}: inside is {wide:.2g} m wide; corners in degrees need frame = "global"')
+    return site
 
 
 def _chute(value: object, source: str) -> float | None:
@@ -103,16 +121,18 @@ def _switch(table: Mapping[str, object], key: str, missing: bool, where: str) ->
 
 
 def _corners(value: object, where: str) -> F64:
-    """(n, 2); a last corner that repeats the first is dropped."""
+    """(n, 2); a corner that repeats the one before it, or the first at the end, is dropped."""
     if not isinstance(value, Sequence) or isinstance(value, str):
         raise InputError(f"{where} must be a list of corners, each 2 numbers")
     if len(value) > MOST_EDGES + 1:
         raise InputError(f"{where}: {len(value)} edges, at most {MOST_EDGES} are taken: simplify it")
-    found = []
+    found: list[list[float]] = []
     for i, corner in enumerate(value):
         if not isinstance(corner, Sequence) or isinstance(corner, str) or len(corner) < 2:
             raise InputError(f"{where}: corner {i} = {shown(corner)} must be 2 numbers")
-        found.append([number(part, f"{where}: corner {i}", -1e6, 1e6) for part in corner[:2]])
+        place = [number(part, f"{where}: corner {i}", -_MOST, _MOST) for part in corner[:2]]
+        if not found or place != found[-1]:
+            found.append(place)
     if len(found) > 1 and found[0] == found[-1]:
         found.pop()
     return np.array(found, dtype=np.float64).reshape(-1, 2)
@@ -131,12 +151,17 @@ def _from_json(text: str, source: str) -> Site:
 
 
 def _from_plan(data: Mapping[str, Any], source: str) -> Site:
-    """The fence of a plan: one polygon or circle to stay in, any number to keep out of."""
+    """The fence of a plan: one polygon or circle to stay in, any number to keep out of.
+
+    Version 1 of a fence, which ground stations wrote until 2018, is one polygon to stay in.
+    """
     fence = data.get("geoFence")
     if not isinstance(fence, Mapping):
         raise InputError(f"{source}: the plan has no fence (geoFence)")
     inside: list[F64] = []
     out: list[KeepOut] = []
+    if fence.get("polygon") and "polygons" not in fence:
+        inside.append(_corners(fence["polygon"], f"{source}: fence polygon"))
     for i, each in enumerate(_listed(fence, "polygons", source)):
         polygon = _corners(each.get("polygon"), f"{source}: fence polygon {i}")
         if _switch(each, "inclusion", True, f"{source}: fence polygon {i}"):
@@ -227,13 +252,23 @@ def _geometry(feature: object, where: str) -> tuple[list[Any], Mapping[str, Any]
     shape = feature.get("geometry") if is_feature else feature
     said = feature.get("properties") if is_feature else {}
     kind = shape.get("type") if isinstance(shape, Mapping) else shape
+    if is_feature and shape is None:
+        raise InputError(f"{where} has no geometry: only a Polygon or a MultiPolygon is taken")
     if not isinstance(shape, Mapping) or kind not in ("Polygon", "MultiPolygon"):
         raise InputError(f"{where}: {shown(kind)} is not taken, only a Polygon or a MultiPolygon is")
     _require_wgs84(shape, where)
     found = shape.get("coordinates")
     if not isinstance(found, list):
         raise InputError(f"{where}: a {kind} needs coordinates")
-    return ([found] if kind == "Polygon" else found), said if isinstance(said, Mapping) else {}
+    said = said if isinstance(said, Mapping) else {}
+    for key in said:
+        plain = "".join(filter(str.isalnum, key.lower()))
+        if _LIKE_OURS.fullmatch(plain) and key not in ("floor_m", "ceiling_m", "keep_out"):
+            raise InputError(
+                f"{where}: property {shown(key)} is not known; floor_m and ceiling_m (metres) and keep_out (true or "
+                "false) are"
+            )
+    return ([found] if kind == "Polygon" else found), said
 
 
 def _rings(polygon: object, where: str) -> list[F64]:

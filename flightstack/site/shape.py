@@ -62,11 +62,11 @@ class Site:
             return self
         frame = LocalFrame(latitude_deg, longitude_deg, 0.0)
         inside = _metres(frame, self.inside)
-        if not float(np.hypot(*inside.T).min()) < FAR_M:
-            swapped = _metres(frame, self.inside[:, ::-1])
-            hint = ": latitude and longitude are swapped" if float(np.hypot(*swapped.T).min()) < FAR_M else ""
+        if not (away := _away_m(inside)) < FAR_M:
+            swapped = _away_m(_metres(frame, self.inside[:, ::-1])) < FAR_M
+            hint = ": latitude and longitude are swapped" if swapped else ""
             raise InputError(
-                f"{self.source}: the site lies {float(np.hypot(*inside.T).min()) / 1000.0:.0f} km from the vehicle, "
+                f"{self.source}: the site lies {away / 1000.0:.0f} km from the vehicle, "
                 f"which is at {latitude_deg:.6f}, {longitude_deg:.6f}{hint}"
             )
         moved = tuple(_moved(frame, each) for each in self.keep_outs)
@@ -76,6 +76,18 @@ class Site:
 def _metres(frame: LocalFrame, corners: F64) -> F64:
     """(n, 2) north and east of (n, 2) degrees."""
     return np.array([frame.to_local(*corner) for corner in corners.tolist()]).reshape(-1, 2)
+
+
+def _away_m(corners: F64) -> float:
+    """How far the origin is from a polygon, (n, 2); 0 within it."""
+    following, closer, within = np.roll(corners, -1, axis=0), math.inf, False
+    for (an, ae), (bn, be) in zip(corners.tolist(), following.tolist(), strict=True):
+        dn, de = bn - an, be - ae
+        share = min(max(-(an * dn + ae * de) / max(dn * dn + de * de, 1e-12), 0.0), 1.0)
+        closer = min(closer, math.hypot(an + share * dn, ae + share * de))
+        if (ae > 0.0) != (be > 0.0) and an - ae * dn / de > 0.0:
+            within = not within
+    return 0.0 if within else closer
 
 
 def _moved(frame: LocalFrame, each: KeepOut) -> KeepOut:
@@ -122,7 +134,7 @@ def _check_polygon(where: str, corners: F64, is_global: bool) -> None:
     elif float(np.abs(corners).max()) > 2.0 * FAR_M:
         bad = int(np.abs(corners).max(axis=1).argmax())
         raise InputError(
-            f"{where}: corner {bad} is {np.abs(corners).max():.4g} m away, at most {2.0 * FAR_M:g} m count"
+            f"{where}: corner {bad} is {np.abs(corners).max():.0f} m away, at most {2.0 * FAR_M:g} m count"
         )
     following = np.roll(corners, -1, axis=0)
     short = np.flatnonzero((corners == following).all(axis=1))
@@ -138,6 +150,11 @@ def _check_polygon(where: str, corners: F64, is_global: bool) -> None:
 
 def _check_degrees(where: str, places: F64) -> None:
     for i, (latitude, longitude) in enumerate(places.tolist()):
+        if max(abs(latitude), abs(longitude)) > 720.0:  # no turn more or less of the globe
+            raise InputError(
+                f"{where}: corner {i} at {latitude:.0f}, {longitude:.0f} is not in degrees: a map's metres (UTM, Web "
+                "Mercator) are not taken, export latitude and longitude of WGS 84"
+            )
         if not abs(latitude) <= 90.0:
             raise InputError(
                 f"{where}: corner {i} has latitude {latitude:g}, beyond 90: are latitude and longitude swapped?"

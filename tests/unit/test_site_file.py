@@ -38,7 +38,7 @@ def test_the_contract_s_example() -> None:
         (f"{HEAD}inside = []", "inside is empty"),
         (f"{HEAD}", "inside must be a list"),
         (f"{HEAD}inside = [[0.0, 0.0], [1.0, 1.0]]", "at least 3"),
-        (f"{HEAD}inside = [[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]]", "edge 0 has no length"),
+        (f"{HEAD}inside = [[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]]", "is empty: 2 corners"),
         (f"{HEAD}inside = [[0.0, 0.0], [nan, 1.0], [1.0, 1.0]]", "corner 1"),
         (f"{HEAD}inside = [[0.0, 0.0], [inf, 1.0], [1.0, 1.0]]", "corner 1"),
         (f'{HEAD}inside = [[0.0, 0.0], ["x", 1.0], [1.0, 1.0]]', "corner 1"),
