@@ -140,6 +140,12 @@ def _is_ready(folder: Path) -> bool:
     return True
 
 
+def code_folder(module: str) -> Path | None:
+    """Where what follows from the sources of a module of the project is kept; None: nothing can be written there."""
+    folder = cache_folder() / f"code-{_closure_key(module)}"
+    return folder if _is_ready(folder) else None
+
+
 @cache
 def cache_folder() -> Path:
     """Where compiled functions are kept: NUMBA_CACHE_DIR, else the user's cache, else a temporary folder."""

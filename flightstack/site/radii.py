@@ -7,11 +7,12 @@ Claimed is ROOM times what is found, for a search may find too little.
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
+from flightstack.kept import kept
 from flightstack.rows import ACC_E, ACC_N, JERK_E, JERK_N, VEL_N
 from flightstack.site import backup as b
 from flightstack.site.tube import STEP_S, LoopBounds, Tube, across
@@ -43,25 +44,34 @@ single ways."""
 @lru_cache(maxsize=64)
 def resting(lags_s: tuple[float, float], doubts: LoopBounds, held: Held) -> Tube:
     """The loop that is driven least far from rest: its pole is searched."""
-    still, best, least = course_of(np.zeros((1, b.ROW)), _RESTING_S[-1]), None, math.inf
-    for pole in _POLES_PS:
-        tube = across(pole, lags_s, doubts)
-        if tube is None:
-            continue
-        found = worst(Loop.of(tube.gains, lags_s), held, still, _RESTING_S, rounds=8)[0]
-        if found < least:
-            best, least = tube, found
-    assert best is not None
-    return best
+    still = course_of(np.zeros((1, b.ROW)), _RESTING_S[-1])
+    tubes = [tube for pole in _POLES_PS if (tube := across(pole, lags_s, doubts)) is not None]
+    loops = [Loop.of(tube.gains, lags_s) for tube in tubes]
+    found = kept(
+        __name__, ("resting", loops, held), lambda: [worst(of, held, still, _RESTING_S, rounds=8)[0] for of in loops]
+    )
+    return tubes[int(np.argmin(found))]
 
 
 def searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> Tube:
     """The loop with what its ways can be left by, which the rows are told: those that brake as hard as any by the last
     one, the others by the first one as well."""
-    loop = Loop.of(tube.gains, lags_s)
-    whole = np.all(rows[:, [b.ACROSS, b.LEAN]] == rows[-1, [b.ACROSS, b.LEAN]], axis=1)
-    found = np.zeros((2, 4))
-    for at in [-1] if whole.all() else [-1, 0]:
+    question = "searched", rows.tolist(), tube.gains, float(tube.radius_m[-1]), held, lags_s
+    found = np.reshape(kept(__name__, question, lambda: _found(rows, tube, held, lags_s).ravel().tolist()), (2, 4))
+    rows[:, b.REST_RADIUS :] = np.where(_brake_alike(rows)[:, None], found[-1], found[0])
+    return tube._replace(radius_m=np.full(len(tube.radius_m), rows[0, b.REST_RADIUS]))
+
+
+def _brake_alike(rows: F64) -> NDArray[np.bool_]:
+    """Which rows brake as hard as the last one."""
+    alike: NDArray[np.bool_] = np.all(rows[:, [b.ACROSS, b.LEAN]] == rows[-1, [b.ACROSS, b.LEAN]], axis=1)
+    return alike
+
+
+def _found(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> F64:
+    """(2, 4) what the first row and the last are told; the first's are 0 where all brake as hard."""
+    loop, found = Loop.of(tube.gains, lags_s), np.zeros((2, 4))
+    for at in [-1] if _brake_alike(rows).all() else [-1, 0]:
         ends = held._replace(lean_mps2=float(rows[at, b.LEAN]))
         row = tuple(rows[at].tolist())
         little, much, leant, turning = (
@@ -72,8 +82,7 @@ def searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> 
         per_lean = max(found[-1, 2], _per_lean(rows[at], (rest, most), leant))
         found[at] = rest, most, per_lean, max(found[-1, 3], _per_turn(rows[at], (rest, most, per_lean), turning))
     found[:, 3] = found[:, 3].max()  # drawn ways of the lightest need what the heaviest's do
-    rows[:, b.REST_RADIUS :] = np.where(whole[:, None], found[-1], found[0])
-    return tube._replace(radius_m=np.full(len(tube.radius_m), rows[0, b.REST_RADIUS]))
+    return found
 
 
 def _per_lean(row: F64, radii_m: tuple[float, float], left_m: list[float]) -> float:
