@@ -132,6 +132,12 @@ class _Lanes(NamedTuple):
     running: _I
     """How many lanes there are at each step."""
 
+    def of(self, some: _I) -> _Lanes:
+        """Some of them, in order."""
+        last = self.last[some]
+        running = np.searchsorted(-last, -np.arange(len(self.laid)), side="left")
+        return _Lanes(self.laid, self.way[some], last, running)
+
 
 class _Courses(NamedTuple):
     """Inputs (n, 4, lanes), and what is seen of the force and the errors of place and velocity at first (3, lanes)."""
@@ -143,30 +149,47 @@ class _Courses(NamedTuple):
         """A share of the way to other ones."""
         return _Courses(*(mine + share * (theirs - mine) for mine, theirs in zip(self, bounds, strict=True)))
 
-    def where(self, better: NDArray[np.bool_], other: _Courses) -> _Courses:
-        """The other ones where they are better."""
-        return _Courses(*(np.where(better, theirs, mine) for mine, theirs in zip(self, other, strict=True)))
+    def of(self, lanes: _I | NDArray[np.bool_]) -> _Courses:
+        """Those of some lanes."""
+        return _Courses(self.inputs[..., lanes], self.first[..., lanes])
+
+    def take(self, lanes: _I, other: _Courses) -> None:
+        """Other ones for some lanes, in place."""
+        self.inputs[..., lanes], self.first[..., lanes] = other
 
 
 def _sizes(z: Any) -> Any:
-    return np.maximum(np.abs(z), 1e-9)
+    size = np.abs(z)
+    return np.maximum(size, 1e-9, out=size)
+
+
+class _Part(NamedTuple):
+    """A vector, how long it is, and the share of it that is let through."""
+
+    z: _C
+    size: F64
+    share: F64
+
+    def cut(self, falls: float = 1.0) -> F64:
+        """How the share changes by the size, over the size, where it falls with that power of it."""
+        return np.where(self.share < 1.0, -self.share / (falls * self.size**2), 0.0)
 
 
 class _Snap(NamedTuple):
-    """What the snap goes to, and every vector on the way there with the share of it that is let through, and how that
-    share changes by its size, over the size."""
+    """What the snap goes to, and every vector on the way there."""
 
     asked: _C
-    back: tuple[_C, F64, F64]
-    leant: tuple[_C, F64, F64]
-    short: tuple[_C, F64, F64]
-    wanted: tuple[_C, F64, F64]
+    back: _Part
+    leant: _Part
+    short: _Part
+    stopped: F64
+    """Turning from which what is short can still be stopped."""
+    wanted: _Part
 
 
-def _bounded(z: _C, most: float) -> tuple[_C, F64, F64]:
+def _bounded(z: _C, most: float) -> _Part:
     size = _sizes(z)
-    share = np.minimum(1.0, most / size)
-    return z, share, np.where(share < 1.0, -share / size**2, 0.0)
+    return _Part(z, size, np.minimum(1.0, most / size))
 
 
 def _gains(loop: Loop) -> tuple[float, float, float, float, float]:
@@ -185,23 +208,31 @@ def _snap(x: _C, u: _C, at: _C, loop: Loop) -> _Snap:
     back = by_velocity * (at[1] - x[1] - u[3]) + by_place * (at[0] - x[0] - u[2])
     size = _sizes(back)
     share = np.minimum(1.0, _ASKED_SHARE * np.cbrt(loop.snap_mps4 / by_velocity**2 / size))
-    backs = back, share, np.where(share < 1.0, -share / (3.0 * size**2), 0.0)
+    backs = _Part(back, size, share)
     leant = _bounded(at[2] + share * back - _SEEN_SHARE * x[5], loop.lean_mps2)
-    short = leant[1] * leant[0] - x[2]
+    short = leant.share * leant.z - x[2]
     size, most = _sizes(short), _TURN_SHARE * loop.snap_mps4
     stopped = np.sqrt((most * late_s) ** 2 + 2.0 * most * size) - most * late_s
     turn = np.minimum(np.minimum(stopped, loop.acc_ps * size), loop.fastest_mps3)
-    grows = np.where(stopped < loop.acc_ps * size, most / (stopped + most * late_s), loop.acc_ps)
-    grows = np.where(turn < loop.fastest_mps3, grows, 0.0)
-    shorts = short, turn / size, (grows - turn / size) / size**2
-    wanted = _bounded(lead * (at[3] + shorts[1] * short - x[3]) - damped * x[4], loop.snap_mps4)
-    return _Snap(wanted[1] * wanted[0], backs, leant, shorts, wanted)
+    shorts = _Part(short, size, turn / size)
+    wanted = _bounded(lead * (at[3] + shorts.share * short - x[3]) - damped * x[4], loop.snap_mps4)
+    return _Snap(wanted.share * wanted.z, backs, leant, shorts, stopped, wanted)
 
 
-def _felt(of: tuple[_C, F64, F64], g: _C) -> _C:
+def _turning_slope(snap: _Snap, loop: Loop) -> F64:
+    """`_Part.cut` of what is short."""
+    _, size, share = snap.short
+    most, late_s = _TURN_SHARE * loop.snap_mps4, _gains(loop)[-1]
+    grows = np.where(snap.stopped < loop.acc_ps * size, most / (snap.stopped + most * late_s), loop.acc_ps)
+    turn = np.minimum(np.minimum(snap.stopped, loop.acc_ps * size), loop.fastest_mps3)
+    slope: F64 = (np.where(turn < loop.fastest_mps3, grows, 0.0) - share) / size**2
+    return slope
+
+
+def _felt(of: _Part, slope: F64, g: _C) -> _C:
     """A gradient by what is let through of a vector, by the vector itself."""
-    z, share, slope = of
-    felt: _C = share * g + slope * (z.real * g.real + z.imag * g.imag) * z
+    z = of.z
+    felt: _C = of.share * g + slope * (z.real * g.real + z.imag * g.imag) * z
     return felt
 
 
@@ -238,10 +269,10 @@ def _uphill(lanes: _Lanes, courses: _Courses, x: _C, toward: _C, loop: Loop) -> 
         for i in (3, 2, 1):
             h[i] += _STEP_S * h[i - 1]
         h[5] *= 1.0 - _STEP_S / _OBSERVER_S
-        by_wanted = _felt(snap.wanted, by_snap)
-        by_short = _felt(snap.short, lead * by_wanted)
-        by_leant = _felt(snap.leant, by_short)
-        by_back = _felt(snap.back, by_leant)
+        by_wanted = _felt(snap.wanted, snap.wanted.cut(), by_snap)
+        by_short = _felt(snap.short, _turning_slope(snap, loop), lead * by_wanted)
+        by_leant = _felt(snap.leant, snap.leant.cut(), by_short)
+        by_back = _felt(snap.back, snap.back.cut(3.0), by_leant)
         up[k, 2, :m], up[k, 3, :m] = -by_place * by_back, -by_velocity * by_back
         h[0] -= by_place * by_back
         h[1] -= by_velocity * by_back
@@ -260,27 +291,26 @@ def _away(lanes: _Lanes, x: _C) -> _C:
 
 
 def _driven(lanes: _Lanes, courses: _Courses, sizes: F64, loop: Loop) -> tuple[F64, _Courses]:
-    """How far lanes are driven from where their courses begin, uphill, and the courses that do it."""
+    """How far lanes are driven from where their courses begin, uphill, and the courses that do it, in place."""
     x = _run(lanes, courses, loop)
     away = _away(lanes, x)
     for _ in range(_ROUNDS):
-        best, begun = np.abs(away), courses
+        best, still = np.abs(away), np.arange(len(away))
         bounds = _uphill(lanes, courses, x, away / np.maximum(best, 1e-9), loop)
-        bounds = _Courses(
-            bounds.inputs / np.maximum(np.abs(bounds.inputs), 1e-12) * sizes[None, :, None],
-            bounds.first / np.maximum(np.abs(bounds.first), 1e-12) * sizes[[0, 2, 3], None],
-        )
-        is_more = np.zeros(len(best), dtype=bool)
+        for toward, most in zip(bounds, (sizes[None, :, None], sizes[[0, 2, 3], None]), strict=True):
+            toward /= np.maximum(np.abs(toward), 1e-12)
+            toward *= most
         for share in _SHARES:
-            tried = begun.towards(share, bounds)
-            run = _run(lanes, tried, loop)
-            found = _away(lanes, run)
-            better = (np.abs(found) > best) & ~is_more
-            courses, x, away = courses.where(better, tried), np.where(better, run, x), np.where(better, found, away)
-            is_more |= better
-            if is_more.mean() > _ENOUGH:
+            part, tried = lanes.of(still), courses.of(still).towards(share, bounds.of(still))
+            run = _run(part, tried, loop)
+            found = _away(part, run)
+            better = np.abs(found) > best[still]
+            taken, still = still[better], still[~better]
+            away[taken], x[..., taken] = found[better], run[..., better]
+            courses.take(taken, tried.of(better))
+            if len(still) < (1.0 - _ENOUGH) * len(away):
                 break
-        if not is_more.any():
+        if len(still) == len(away):
             break
     return np.abs(away), courses
 
@@ -296,9 +326,7 @@ def _lanes(laid: _C, lengths: _I, copies: int) -> _Lanes:
 def _sorted(lanes: _Lanes) -> tuple[_Lanes, _I]:
     """Those that end last first, and the order."""
     order = np.argsort(-lanes.last, kind="stable")
-    last = lanes.last[order]
-    running = np.searchsorted(-last, -np.arange(len(lanes.laid)), side="left")
-    return _Lanes(lanes.laid, lanes.way[order], last, running), order
+    return lanes.of(order), order
 
 
 def _first_courses(lanes: _Lanes, sizes: F64) -> _Courses:
@@ -329,14 +357,14 @@ def left(ways: list[_C], loop: Loop, sizes: F64) -> F64:
         lanes, order = _sorted(plain)
         if courses is None:
             courses = _first_courses(plain, sizes)
-        found, driven = _driven(lanes, _Courses(*(each[..., order] for each in courses)), sizes, loop)
+        found, driven = _driven(lanes, courses.of(order), sizes, loop)
         back = np.argsort(order)
-        found, driven = found[back].reshape(*shape, -1), _Courses(*(each[..., back] for each in driven))
+        found, driven = found[back].reshape(*shape, -1), driven.of(back)
         greatest = np.maximum(greatest, found.max(axis=(0, 2)))
         best = np.argmax(found, axis=2) + np.arange(found.size).reshape(found.shape)[:, :, 0]
         before, after = (best[np.clip(np.arange(len(best)) + step, 0, len(best) - 1)] for step in (-1, 1))
         taken = np.stack([before, after], axis=2).reshape(-1)  # what is worst a moment before, and after
-        plain, courses = _lanes(laid, lengths, 2), _Courses(*(each[..., taken] for each in driven))
+        plain, courses = _lanes(laid, lengths, 2), driven.of(taken)
     result = np.zeros(len(ways))
     result[[len(each) > 0 for each in ways]] = greatest
     return result
