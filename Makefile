@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: attack bench bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean close-gap client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-frozen gap-recorded gap-rotorpy gap-rough gap-sensitivity help house mutants paper px4 replay same screenshots test tune
+.PHONY: attack bench bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean close-gap client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-frozen gap-recorded gap-rotorpy gap-rough gap-sensitivity help house mutants paper px4 replay same screenshots test thorough tune
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -42,6 +42,7 @@ help:
 	@echo "make screenshots  the pictures of docs/screenshots, flown and taken anew"
 	@echo "make tune         find every controller's gains anew (half an hour)"
 	@echo "make campaign-learning  some 500 flights that learn: docs/learning.md (campaign-learning-quick: one seed)"
+	@echo "make thorough     every test with all of its cases (an hour and a half)"
 	@echo "make attack       every attack on a certificate that is known, every case of them, as tests"
 	@echo "make campaign-barrier   5,000 flights against an adversary that searches: the table in docs/barrier.md; goes on where it was cut off, MINUTES=60 bounds it (campaign-barrier-quick: a block of each kind)"
 	@echo "make campaign-barrier-filters   some 1,600 flights with, without and as the published filter: docs/barrier.md (campaign-barrier-filters-quick: a few)"
@@ -182,6 +183,9 @@ campaign-learning: $(BIN)/.installed-campaign
 
 campaign-learning-quick: $(BIN)/.installed-campaign
 	$(LEARNING)
+
+thorough: $(BIN)/.installed-dev
+	FLIGHTSTACK_THOROUGH=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
 attack: $(BIN)/.installed-dev
 	FLIGHTSTACK_THOROUGH=1 $(BIN)/python -m pytest -q tests/attack tests/loopback/test_dead_companion.py tests/loopback/test_early_certificate.py

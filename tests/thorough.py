@@ -1,4 +1,4 @@
-"""Cases that `make attack` flies and `make test` leaves out: others that stay ask the same."""
+"""Cases that `make thorough` runs and `make test` leaves out: others that stay ask the same."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import pytest
 
 THOROUGH = "FLIGHTSTACK_THOROUGH" in os.environ
-ONLY_THEN = pytest.mark.skipif(not THOROUGH, reason="flown by make attack")
+ONLY_THEN = pytest.mark.skipif(not THOROUGH, reason="run by make thorough")
 
 
 def thorough(*case: object) -> object:

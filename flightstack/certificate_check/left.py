@@ -8,6 +8,7 @@ all of a certificate's ways side by side; then from what was worst a moment befo
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,16 +87,17 @@ class Way(NamedTuple):
         return self.rest_radius_m + max(share * (self.most_radius_m - self.rest_radius_m), self.per_lean_s2 * leant)
 
 
-def _cut(z: Any, most: Any) -> Any:
+def _cut(z: complex, most: float) -> complex:
     """z, no longer than that."""
-    return z * np.minimum(1.0, most / np.maximum(np.abs(z), 1e-9))
+    return z * min(1.0, most / max(abs(z), 1e-9))
 
 
 def laid_out(way: Way, loop: Loop, v: complex, a: complex, j: complex = 0j) -> _C:
     """(n, 5) place, velocity, lean, rate that is asked for, the one that there is (at first both are j); at rest for a
     while at its end; empty: it does not rest, or turns too fast."""
     p, s, asked, rows = 0j, 0j, j, []
-    late = max(loop.lag_s, 2.0 * _STEP_S)
+    late, follows = max(loop.lag_s, 2.0 * _STEP_S), 1.0 - math.exp(-_STEP_S / loop.rotors_s)
+    turns = math.sqrt(way.slow_mps4 * way.across_mps2)
     if abs(j) > _FASTEST_BEGUN_MPS3:
         return np.zeros((0, 5), dtype=np.complex128)
     for _ in range(_LONGEST):
@@ -103,16 +105,16 @@ def laid_out(way: Way, loop: Loop, v: complex, a: complex, j: complex = 0j) -> _
         if abs(v) < 0.03 and abs(a) < 0.15:
             break
         hurry = min(max(2.0 * (abs(v) / way.fast_mps - 1.0), 0.0), 1.0)
-        stops = min(max(2.0 * (abs(j) / np.sqrt(way.slow_mps4 * way.across_mps2) - 0.8), 0.0), 1.0)
+        stops = min(max(2.0 * (abs(j) / turns - 0.8), 0.0), 1.0)
         most = max(
             way.slow_mps4 + hurry * (way.fast_mps4 - way.slow_mps4),
             way.slow_mps4 + stops * (_STOP_SHARE * loop.snap_mps4 - way.slow_mps4),
         )
         short = way.brakes(v) - a - late * (j + loop.rotors_s * s)
         size = max(abs(short), 1e-9)
-        turn = min(_LEAN_GAIN_PS * size, way.stoppable * np.sqrt(2.0 * most * size), way.jerk_mps3) / size
-        asked += _STEP_S * complex(_cut(_JERK_GAIN_PS * (turn * short - asked), most))
-        s += (1.0 - np.exp(-_STEP_S / loop.rotors_s)) * ((asked - j) / loop.lag_s - s)
+        turn = min(_LEAN_GAIN_PS * size, way.stoppable * math.sqrt(2.0 * most * size), way.jerk_mps3) / size
+        asked += _STEP_S * _cut(_JERK_GAIN_PS * (turn * short - asked), most)
+        s += follows * ((asked - j) / loop.lag_s - s)
         j += _STEP_S * s
         p, v = p + _STEP_S * (v + 0.5 * _STEP_S * a), v + _STEP_S * (a + 0.5 * _STEP_S * j)
         a += _STEP_S * j * (1.0 + (abs(a) / 9.80665) ** 2)
