@@ -19,6 +19,7 @@ from flightstack.gap.checks.exclusions import exclude_ground_contact, exclude_st
 from flightstack.gap.checks.offsets import find_offsets, is_certain, shifted
 from flightstack.gap.checks.rotors import judge_vehicle, moves
 from flightstack.gap.checks.samples import flying_span, make_samples
+from flightstack.gap.checks.spikes import without_spikes
 from flightstack.gap.decisions import CLEAR_M, LEAST_FLIGHT_S, SHORT_FLIGHT_S, STOOD_S
 from flightstack.gap.records import Checked, Finding, Flight, Offset, Signal, how_to_record, ok, refused, warning
 from flightstack.gap.sources import FREED
@@ -63,8 +64,9 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     if span is None:
         findings.append(_not_flying(flight.kind))
         return Checked(flight, None, tuple(findings), ())
+    signals, spikes = without_spikes(signals, span)
     signals, more = conventions.settle(signals, span)
-    findings += [*more, *judge_rates(signals, span, flight.kind)]
+    findings += [*spikes, *more, *judge_rates(signals, span, flight.kind)]
     offsets = find_offsets(signals, span)
     findings += [_late(each) for each in offsets if is_certain(each)]
     signals = shifted(signals, offsets)

@@ -161,6 +161,16 @@ AROUND_S = decide(
 STOPPED = decide(0.01, "command", "from which on a rotor is driven", (0, 0, 0, 0, 0))
 LAGS = decide(5.0, "time constants", "after which less than a hundredth of a stop is remembered", (0, 0, 0, 0, 0))
 
+SPIKE_BENDS = decide(
+    3.0, "ratio", "of a sample's distance to how far its neighbours bend, which a peak's do as much", (0, 0, 0, 0, 0)
+)
+SPIKE_SPREADS = decide(
+    10.0,
+    "standard deviations",
+    "off the median of those round it, from which a single sample is none of the flight's",
+    (0, 0, 0, 0, 0),
+)
+
 # --- conventions of frames and units, by correlations of what must agree
 CONVENTION_MARGIN = decide(
     0.12, "correlation", "by which the sum must grow before a convention is changed", (0, 0, 0, 0, 0)

@@ -52,7 +52,7 @@ def _fresh(name: str, each: Signal, kind: str, findings: list[Finding]) -> Signa
     fresh = np.concatenate([[True], np.any(value[1:] != value[:-1], axis=1)])
     fresh = _of_its_clock(fresh) if name == "motor" else fresh
     share = 1.0 - float(np.mean(fresh))
-    still = _longest_run(~fresh) / len(fresh)
+    still = longest_run(~fresh) / len(fresh)
     if share - still < _HELD or fresh.sum() < 20:
         return each
     findings.append(warning("rate", f"{name}: {100 * share:.0f} % of its rows only repeat the row before; left out"))
@@ -75,7 +75,8 @@ def _of_its_clock(fresh: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(fresh | (stands & (since % round(usual) == 0)))
 
 
-def _longest_run(flags: np.ndarray) -> int:
+def longest_run(flags: NDArray[np.bool_]) -> int:
+    """Rows of the longest stretch of (N,) flags that are set."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return int(np.max(edges[1::2] - edges[::2], initial=0))
 

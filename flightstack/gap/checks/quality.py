@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
+from flightstack.gap.checks.clocks import longest_run
 from flightstack.gap.checks.grid import period_s
 from flightstack.gap.checks.motion import G_NED, band, integrated, motion, rate_hz, rates_of
 from flightstack.gap.checks.rotors import felt_gravity
+from flightstack.gap.decisions import EDGE_S, SMALL_SHARE
 from flightstack.gap.records import Finding, Offset, Samples, Signal, refused, warning
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -57,17 +60,29 @@ def settle_motors(signals: Mapping[str, Signal]) -> tuple[dict[str, Signal], lis
     signal = out.get("motor")
     if signal is None or not len(signal.t_s):
         return out, []
-    low, high = (float(np.quantile(signal.value, share)) for share in (0.001, 0.999))
-    if low > -_BEYOND and high < 1.0 + _BEYOND:
+    if not _is_off(signal.value, -_BEYOND, 1.0 + _BEYOND).any():
         out["motor"] = Signal(signal.t_s, np.clip(signal.value, 0.0, 1.0), signal.source)
         return out, []
-    for name, (least, most, zero, full) in _MOTOR_UNITS.items():
-        if least <= low and high <= most:
-            command = np.clip((signal.value - zero) / (full - zero), 0.0, 1.0)
-            out["motor"] = Signal(signal.t_s, command, signal.source)
-            return out, [warning("units", f"motors: were {name}; turned into commands 0 to 1")]
+    for name, (least, most, zero, full) in (("", (-_BEYOND, 1.0 + _BEYOND, 0.0, 1.0)), *_MOTOR_UNITS.items()):
+        known = np.where(signal.value == 0.0, zero, signal.value)  # no pulse is no thrust
+        off = _is_off(known, least, most)
+        if np.mean(off) > SMALL_SHARE or longest_run(off) * period_s(signal) > 2.0 * EDGE_S:
+            continue
+        command = np.clip((known[~off] - zero) / (full - zero), 0.0, 1.0)
+        out["motor"] = Signal(signal.t_s[~off], command, signal.source)
+        findings = [warning("units", f"motors: were {name}; turned into commands 0 to 1")] if name else []
+        if off.any():
+            text = f"motor: {int(off.sum())} of {len(off)} samples are no commands; left out"
+            findings.append(warning("spikes", text))
+        return out, findings
+    low, high = (float(np.quantile(signal.value, share)) for share in (0.001, 0.999))
     text = f"motor commands from {low:.4g} to {high:.4g} are no commands 0 to 1; say their range with --columns FILE"
     return out, [refused("motors", text)]
+
+
+def _is_off(value: F64, least: float, most: float) -> NDArray[np.bool_]:
+    """(N,) rows of which a number is not between these."""
+    return np.asarray(np.any((value < least) | (value > most), axis=1))
 
 
 def judge_quality(samples: Samples, signals: Mapping[str, Signal]) -> list[Finding]:
