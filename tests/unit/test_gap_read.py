@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -345,3 +346,39 @@ def test_what_spreadsheets_and_numpy_write_is_read(
         got = flight(tmp_path / "a.csv", vehicle).signals["vel_ned_mps"]
         assert got.t_s[-1] - got.t_s[0] == pytest.approx(2.99)
         np.testing.assert_allclose(got.value, np.tile([1.5, -2.5, 0.0], (300, 1)))
+
+
+@pytest.mark.parametrize(
+    "change", [str.upper, lambda name: name.removesuffix("_s"), str.title], ids=["capitals", "time", "title"]
+)
+def test_a_header_s_capitals_do_not_matter(tmp_path: Path, vehicle: Vehicle, change: Callable[[str], str]) -> None:
+    path = write_csv(tmp_path / "a.csv", flown(vehicle, seconds=3.0))
+    header, rows = path.read_text().split("\n", 1)
+    (tmp_path / "b.csv").write_text(",".join(map(change, header.split(","))) + "\n" + rows)
+    as_written, got = flight(path, vehicle), flight(tmp_path / "b.csv", vehicle)
+    assert got.signals.keys() == as_written.signals.keys()
+    for name, each in as_written.signals.items():
+        assert np.array_equal(got.signals[name].value, each.value), name
+
+
+def test_names_without_their_units_are_si_and_names_that_are_not_known_are_said(
+    tmp_path: Path, vehicle: Vehicle
+) -> None:
+    path = write_csv(tmp_path / "a.csv", flown(vehicle, seconds=3.0))
+    text = path.read_text()
+    bare = text.replace("vel_n_mps", "vel_n").replace("vel_e_mps", "vel_e").replace("vel_d_mps", "vel_d")
+    (tmp_path / "b.csv").write_text(bare.replace("accel_x_mps2", "acel_x_mps2"))
+    got = flight(tmp_path / "b.csv", vehicle)
+    assert np.array_equal(got.signals["vel_ned_mps"].value, flight(path, vehicle).signals["vel_ned_mps"].value)
+    assert "accel_frd_mps2" not in got.signals
+    assert "columns without a unit were taken for SI: vel_n, vel_e, vel_d" in got.notes
+    assert "columns that are not known were not used: acel_x_mps2" in got.notes
+    assert flight(path, vehicle).notes == ()
+
+
+def test_a_strangers_header_is_told_back(tmp_path: Path, vehicle: Vehicle) -> None:
+    (tmp_path / "a.csv").write_text("time,x,y,z,height,battery\n0.0,1,2,3,4,5\n0.1,1,2,3,4,5\n")
+    with pytest.raises(
+        InputError, match=r"other columns than time_s,pos_n_m,\.\.\.: time, x, y, z, height, battery; say"
+    ):
+        flight(tmp_path / "a.csv", vehicle)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import codecs
 import io
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +42,11 @@ height = {{ columns = ["height_m"] }}
 UNITS = {"pos_ned_m": "m", "vel_ned_mps": "m/s", "acc_ned_mps2": "m/s^2", "q_ned_frd": "1", "rate_frd_radps": "rad/s",
          "accel_frd_mps2": "m/s^2", "motor": "1", "rotor_speed_radps": "rad/s",
          "battery_v": "V", "height_m": "m", "landed": ""}  # fmt: skip
+_KNOWN = frozenset(re.findall(r'"([a-z0-9_]+)"', _OWN))
+_UNIT = re.compile(r"_(s|m|mps|radps|mps2|v)$")
+_MOTION = frozenset(("pos_n_m", "vel_n_mps", "acc_n_mps2", "accel_x_mps2"))
+_FIRST, _LONGEST = 24, 40
+"""Names that a line lists, and letters of each."""
 _LATEST_S = 4e9
 _MOST_BACK = 50.0
 """Usual steps that time may go back by, in a few rows that came late."""
@@ -90,14 +97,16 @@ def read_csv(path: Path, data: bytes, columns: ColumnMap | None) -> Log:
     where = f"log {path}"
     raw, notes = raw_table(data, where)
     if columns is None:
+        raw, more = _by_our_names(raw)
+        notes += more
         if "time_s" not in raw:
-            raise InputError(f"{where}: is a CSV with other columns than time_s,pos_n_m,...; say what they are with "
-                             "--columns FILE (docs/gap-logs.md)")  # fmt: skip
+            raise InputError(f"{where}: is a CSV with other columns than time_s,pos_n_m,...: {_listed(raw)}; say what "
+                             "they are with --columns FILE (docs/gap-logs.md)")  # fmt: skip
         _check_motors(raw, where)
         columns = parse_columns(_OWN, "header")
     if columns.time is None or columns.time[0] not in raw:
         name = columns.time[0] if columns.time else "[time]"
-        raise InputError(f"{where}: has no column {name} for the time; it has {', '.join(list(raw)[:40])}")
+        raise InputError(f"{where}: has no column {name} for the time; it has {_listed(raw)}")
     signals, sources, places = apply(columns, raw, where)
     if not signals:
         raise InputError(f"{where}: has none of the columns of a flight beside time_s; it needs at least velocity")
@@ -117,6 +126,36 @@ def read_csv(path: Path, data: bytes, columns: ColumnMap | None) -> Log:
         metadata=metadata,
         attachments=(),
         size_bytes=len(data),
+    )
+
+
+def _by_our_names(raw: dict[str, F64]) -> tuple[dict[str, F64], list[str]]:
+    """The columns under this project's names, and what is said of it.
+
+    Capitals don't matter, and names that lack their unit (pos_n, accel_x, time) are SI.  Other names are not used.
+    """
+    ours = {**{name.rpartition("_")[0]: name for name in _KNOWN if _UNIT.search(name)}, "t": "time_s"}
+    out: dict[str, F64] = {}
+    bare: list[str] = []
+    for name, column in raw.items():
+        low = name.lower()
+        own = low if low in _KNOWN else ours.get(low, name)
+        if own in out or (own != name and own in raw):
+            own = name
+        out[own] = column
+        bare += [name] if own not in (name, low) else []
+    unused = [name for name in out if name not in _KNOWN]
+    if "time_s" not in out or not (_MOTION & out.keys() or "time_s" in raw):
+        return raw, []
+    notes = [f"columns without a unit were taken for SI: {_listed(bare)}"] if bare else []
+    return out, notes + ([f"columns that are not known were not used: {_listed(unused)}"] if unused else [])
+
+
+def _listed(names: Iterable[str]) -> str:
+    """The first of these names."""
+    few = list(names)
+    return ", ".join(name[:_LONGEST] for name in few[:_FIRST]) + (
+        f" and {len(few) - _FIRST} more" if len(few) > _FIRST else ""
     )
 
 
