@@ -21,6 +21,7 @@ import math
 import tempfile
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -164,11 +165,17 @@ def replaced(flight: FenceFlight, method: str) -> None:
     flight.state = flight.state._replace(filter=other.init(flight.origin))
 
 
+@cache
+def _commit() -> str:
+    """Of what flies here: asked once, for files change while a campaign flies."""
+    return str(versions()["git_commit"])
+
+
 def flown(method: str, seed: int, seconds: float, folder: Path) -> dict[str, Any]:
     """One flight with one method."""
     path = folder / f"site-{seed}.toml"
     path.write_text(drawn_site(seed))
-    found = {"method": method, "seed": seed, "commit": versions()["git_commit"]}
+    found = {"method": method, "seed": seed, "commit": _commit()}
     try:
         world, told = replace(drawn_world(seed, folder), plant="native"), _TOLD if method == "gatekeeper" else 1.0
         flight = FenceFlight(world, path, drawn_attack(seed), Told.all(told))

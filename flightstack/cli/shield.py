@@ -23,6 +23,7 @@ from flightstack.cli.quiet import quieted
 from flightstack.cli.result import percentiles
 from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
+from flightstack.cli.shield_frames import is_mavlink
 from flightstack.cli.shield_router import ShieldRouter
 from flightstack.cli.site import envelope, given_prior, load_site, plan_site
 from flightstack.cli.site_change import SiteChanges
@@ -48,6 +49,8 @@ PORT_STEP = 40
 _SCENARIO = "hover"
 _MOST_AT_ONCE = 32
 """Datagrams of the program between two looks at the clock: whatever it pours out, the vehicle gets its setpoints."""
+_GONE_US = 2_000_000
+"""A program that was silent for so long has gone (its heartbeats come each second): another may take its place."""
 _HAND_OVER_US = 2_000_000
 """PX4 takes Hold within some milliseconds; after so long its own failsafe has to do."""
 
@@ -97,7 +100,7 @@ def open_serve(address: str) -> UdpSocket:
         raise InputError(f"--serve {address}: a program is served over UDP: udpout:HOST:PORT or udpin:HOST:PORT")
     if isinstance(parsed, UdpOut):
         return UdpSocket.bind(parsed.host, parsed.port + PORT_STEP, peer=(parsed.host, parsed.port), latch=False)
-    return UdpSocket.bind(parsed.host, parsed.port, latch=True, drop_foreign=True)
+    return UdpSocket.bind(parsed.host, parsed.port, latch=True, greets=is_mavlink, drop_foreign=True)
 
 
 def shield(
@@ -145,6 +148,7 @@ def _route(
     vehicle, program = links
     latencies: list[float] = []
     next_us, ends_us, told = monotonic_us(), 0, False
+    heard_us = next_us
     while True:
         select([vehicle.fileno(), program.fileno()], [], [], max(next_us - monotonic_us(), 0) * 1e-6)
         came = time.perf_counter_ns()
@@ -154,6 +158,7 @@ def _route(
                 program.send(kept)
                 passed += 1
         for data in program.receive_all(_MOST_AT_ONCE):
+            heard_us = now_us
             for kept in router.from_program(data, now_us):
                 vehicle.send(kept)
                 passed += 1
@@ -162,6 +167,10 @@ def _route(
         if now_us < next_us:
             continue
         next_us = max(next_us + PERIOD_US, now_us)
+        if now_us - heard_us > _GONE_US:
+            program.unlatch()
+        if router.ended:
+            return latencies
         if is_to_end():
             ends_us = ends_us or now_us + _HAND_OVER_US
             if router.hand_over(now_us) or now_us > ends_us:
@@ -194,6 +203,7 @@ def result_of(router: ShieldRouter, options: ShieldOptions, latencies: list[floa
         "governor_share": score.governed * share,
         "stopped_ticks": score.stopped,
         "handed_over": score.handed_over,
+        "ended": router.ended,
         "sites_replaced": score.sites_replaced,
         "added_latency_us": percentiles(latencies),
     }

@@ -14,11 +14,14 @@ from flightstack.rows import YAW, YAW_RATE
 from flightstack.seams import Controller
 from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
+from mavlink_bridge.messages import SetAttitudeTarget
 from mavlink_bridge.voice import yaw_of
 
 _ATTITUDE_PS = np.array([6.5, 6.5, 2.8])
 """PX4's MC_ROLL_P, MC_PITCH_P, MC_YAW_P."""
 _PROPOSAL = 20
+_NO_THRUST, _NO_ATTITUDE = 64, 128
+"""SET_ATTITUDE_TARGET.type_mask."""
 
 
 class Relay:
@@ -66,6 +69,13 @@ def _towards(wish: ControlSetpoint, q_ned_frd: F64) -> F64:
     if math.isfinite(wish.yaw_rate_radps):
         rate[2] += wish.yaw_rate_radps
     return rate
+
+
+def is_whole(message: SetAttitudeTarget) -> bool:
+    """Whether all that its mask says is given is a number: what is not is nobody's wish, where PX4 would fly by it."""
+    q, rates, mask = message.q_ned_frd, message.rate_frd_radps[:2], message.type_mask
+    given = (*(rates if mask & _NO_ATTITUDE else q), 0.0 if mask & _NO_THRUST else message.thrust_norm)
+    return all(map(math.isfinite, given))
 
 
 def reference_of(wish: ControlSetpoint, measurement: Measurement) -> FlatOutput:

@@ -24,6 +24,11 @@ def decoded(frame: Frame, payload: bytes) -> Any:
     return None if row is None else row.decode(payload.ljust(row.size, b"\0"), 0)
 
 
+def is_mavlink(data: bytes) -> bool:
+    """Whether a datagram begins with a whole frame of a message that is known, a heartbeat for one."""
+    return bool(data) and isinstance(frame_at(data, 0, _EXTRAS), Frame)
+
+
 def without(data: bytes, is_taken: Callable[[Frame, bytes], bool], *, whole: bool) -> list[bytes]:
     """The datagram without the frames that are taken; the very same bytes where none is.
 

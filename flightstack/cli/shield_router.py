@@ -10,6 +10,8 @@ HOLDS_US of that it is handed over to PX4's Hold.  The router never selects OFFB
 pilot: outside OFFBOARD, while the program speaks, it asks for level flight, so that PX4 may enter OFFBOARD.  Only where
 the router itself stood still and the dead-man commanded Hold meanwhile does it take OFFBOARD back, as `Stalls` allows.
 Whatever ends it hands the vehicle over first.
+
+A vehicle that restarts ends it (`ended`): its local frame, so the site's place, and its gains may be others.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from flightstack.cli.shield_controller import Relay, hold_of, reference_of
+from flightstack.cli.shield_controller import Relay, hold_of, is_whole, reference_of
 from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, without
 from flightstack.cli.site import TimedSiteFilter
 from flightstack.geodesy import LocalFrame
@@ -51,6 +53,8 @@ _TIMESYNC_ID = m.id_of(m.Timesync)
 _AGAIN_US = 2_000_000
 _HEARTBEAT_US, _TIMESYNC_US = 1_000_000, 100_000
 _STALE_US = 100_000
+_BACK_US, _BACK_TIMES = 1_000_000, 10
+"""A clock so far behind what it was, and so often on end: no link reorders like that, it is another boot."""
 _OWN_STAMPS = 64
 
 
@@ -100,6 +104,9 @@ class ShieldRouter:
         """Whether a setpoint went out in the newest step."""
         self._is_alone = False
         """There is no dead-man any more."""
+        self.ended = ""
+        """Why nothing is flown any more; empty while all is well."""
+        self._newest_us = self._back = 0
         self._retaking_us = -1
         """Since when OFFBOARD is being taken back; -1: it is not."""
         self._flies = self._is_certain = self._is_laid = False
@@ -131,6 +138,7 @@ class ShieldRouter:
                 elif not isinstance(message, m.Timesync) or message.ts1_ns in self._stamps:
                     self.view.update(message, now_us)
                     self._place(message)
+                    self._note_boot(message)
         return without(data, self._is_own_answer, whole=False)
 
     def _place(self, message: object) -> None:
@@ -139,6 +147,18 @@ class ShieldRouter:
             self._globe = LocalFrame(message.lat_deg, message.lon_deg, message.alt_msl_m)
         elif isinstance(message, m.HomePosition):
             self._home_m = message.alt_msl_m
+
+    def _note_boot(self, message: object) -> None:
+        """Whether the vehicle's clock began anew."""
+        if not isinstance(message, m.HighresImu):
+            return
+        self._back = self._back + 1 if message.t_us < self._newest_us - _BACK_US else 0
+        self._newest_us = max(self._newest_us, message.t_us)
+        if self._back >= _BACK_TIMES and not self.ended:
+            self._flies, self._retaking_us = False, -1
+            self.ended = (
+                "the vehicle restarted: where the site lies and its gains may have changed; start the shield anew"
+            )
 
     def from_program(self, data: bytes, now_us: int) -> list[bytes]:
         """Take a datagram of the program; what the vehicle gets of it."""
@@ -166,7 +186,7 @@ class ShieldRouter:
     def _wished(self, message: Any, now_us: int) -> ControlSetpoint | None:
         """What a setpoint asks for, as PX4 reads it; None where it asks for nothing."""
         if isinstance(message, m.SetAttitudeTarget):
-            return from_attitude_target(message, self._wish)
+            return from_attitude_target(message, self._wish) if is_whole(message) else None
         if isinstance(message, m.SetPositionTargetGlobalInt):
             return None if self._globe is None else from_global_target(message, self._globe, self._home_m)
         measurement = predict(self.view.streams, self.view.clock.vehicle_us(now_us))
@@ -238,7 +258,7 @@ class ShieldRouter:
     def step(self, now_us: int) -> list[bytes]:
         """Every 4 ms: what goes to the vehicle."""
         self.has_spoken = False
-        if self.system:
+        if self.system and not self.ended:
             self._keep_in_touch(now_us)
             self._take_back(now_us)
             self._fly(now_us)
@@ -307,7 +327,7 @@ class ShieldRouter:
 
     def _is_blind(self, t_us: int) -> bool:
         """Whether the attitude is too old to fly by: then nothing is said, and the dead-man answers the silence."""
-        return t_us - self.view.streams.attitude_us > _STALE_US
+        return abs(t_us - self.view.streams.attitude_us) > _STALE_US  # nor of another boot's clock
 
     def _stand_by(self, measurement: Measurement, t_us: int) -> None:
         """A setpoint that does no harm until the router hears that OFFBOARD was selected: PX4 asks for some before."""

@@ -42,8 +42,14 @@ def shield(
         sensors=sensors.value if sensors else "mocap",
         duration_s=duration,
     )
+    interrupts.at_once = True
     with terminal.progress(f"shielding {connect}") as show:
-        result = run(options, stop_requested=interrupts.requested, on_progress=show)
+
+        def on_progress(share: float, words: str) -> None:
+            interrupts.at_once = False  # from here on something may fly
+            show(share, words)
+
+        result = run(options, stop_requested=interrupts.requested, on_progress=on_progress)
     console.say(
         f"{result['setpoints']} setpoints taken, {result['ticks']} ticks flown, "
         f"{100.0 * result['changed_share']:.1f} % changed by the site filter"
@@ -52,6 +58,9 @@ def shield(
         files.write_json(json, result)
     if not result["vehicle_heard"]:
         console.say_error(f"no PX4 was heard at {connect}")
+        raise typer.Exit(FAILED)
+    if result["ended"]:
+        console.say_error(result["ended"])
         raise typer.Exit(FAILED)
     if interrupts.requested():
         raise typer.Exit(INTERRUPTED)

@@ -177,6 +177,13 @@ class UdpSocket:
         self._socket.connect(self.peer)
         self._connected = self.latched = True
 
+    def unlatch(self) -> None:
+        """Where the first sender was latched: the next one whose datagram is liked takes its place.
+
+        Until then `send` goes where it went.
+        """
+        self.latched = self.latched and self._greets is None
+
     def close(self) -> None:
         """Give the port back."""
         self._socket.close()

@@ -261,6 +261,27 @@ def test_udpin_answers_whoever_speaks_first_and_udpout_speaks_first() -> None:
         caller.close()
 
 
+def test_a_latched_sender_that_has_gone_makes_room_for_another() -> None:
+    """Its own next word holds the place as well; without a latch there is nothing to make room for."""
+    with UdpSocket.bind(HOST, 0, drop_foreign=True) as near, _peer_of(near) as first, _peer_of(near) as second:
+        for sender, expected in ((first, [b"hello"]), (second, [])):
+            sender.send(b"hello")
+            near.wait(WAIT_S)
+            assert near.receive_all() == expected
+        near.unlatch()
+        assert near.peer == first.address
+        second.send(b"again")
+        near.wait(WAIT_S)
+        assert near.receive_all() == [b"again"]
+        assert (near.peer, near.latched) == (second.address, True)
+        first.send(b"late")
+        near.wait(WAIT_S)
+        assert near.receive_all() == []
+    with UdpSocket.bind(HOST, 0, peer=(HOST, 1), latch=False) as fixed:
+        fixed.unlatch()
+        assert (fixed.peer, fixed.latched) == ((HOST, 1), False)
+
+
 @pytest.mark.parametrize("first_word", [b"noise", b"\xfd" * 30, b"", "ground station"])
 def test_udpin_is_not_made_deaf_by_whoever_is_no_autopilot(first_word: bytes | str) -> None:
     with UdpSocket.bind(HOST, 0) as probe:
