@@ -116,7 +116,7 @@ def shield(
     stack, relay, refiner = shield_stack(options, place, gains)
     messages.prepare()
     warm_up(stack, files.load_scenario(_SCENARIO)[0])
-    router = ShieldRouter(stack, relay, refiner)
+    router = ShieldRouter(stack, relay, refiner, place)
     began_us = monotonic_us()
     with ExitStack() as opened:
         opened.enter_context(undisturbed(real_time=True))

@@ -56,6 +56,8 @@ _STALE_US = 100_000
 _BACK_US, _BACK_TIMES = 1_000_000, 10
 """A clock so far behind what it was, and so often on end: no link reorders like that, it is another boot."""
 _OWN_STAMPS = 64
+_RESTED = 500
+"""Ticks that the place of rest is a mean of."""
 
 
 @dataclass(slots=True)
@@ -77,14 +79,17 @@ class ShieldScore:
 class ShieldRouter:
     """One vehicle and one program."""
 
-    def __init__(self, stack: Stack, relay: Relay, refiner: StateObserver | None) -> None:
+    def __init__(
+        self, stack: Stack, relay: Relay, refiner: StateObserver | None, place: tuple[float, float] | None = None
+    ) -> None:
+        """`place`: latitude and longitude round which a site on the globe was laid out; None: it is none."""
         self.link, self.view, self.score = Link(240, 191), VehicleView(), ShieldScore()
         self.system = 0
         self.record: TickRecord | None = None
         """Of the last tick in OFFBOARD."""
         self.origin_ned_m: F64 | None = None
         """Where the vehicle was armed first: the site stays where it is when the program lands and takes off again."""
-        self._stack, self._relay, self._refiner = stack, relay, refiner
+        self._stack, self._relay, self._refiner, self._asked_place = stack, relay, refiner, place
         self._commands, self._voice = CommandQueue(self.link), Voice(self.link)
         self._state: StackState | None = None
         self._wish: ControlSetpoint | None = None
@@ -304,9 +309,9 @@ class ShieldRouter:
         self._voice.thrust_model_factor = self._relay.thrust_model_factor = factor
         grounded = self.view.on_ground
         if grounded and not self.view.armed and not self._is_laid:
-            self._rested = min(self._rested + 1, 500)
+            self._rested = min(self._rested + 1, _RESTED)
             self._rest += (measurement.pos_ned_m - self._rest) / self._rested
-            self.origin_ned_m = self._rest.copy()
+            self.origin_ned_m = self._origin(self._rest)
         self._is_laid |= self.view.armed
         if self.origin_ned_m is None:
             return
@@ -324,6 +329,18 @@ class ShieldRouter:
             self._flies, self._is_certain, self._obeyed_us, self._hold = True, False, now_us, None
         assert self._state is not None
         self._tick(self._state, measurement, self._wish if not silent else None, t_us, now_us)
+
+    def _origin(self, rest_ned_m: F64) -> F64:
+        """Where the site is laid out from: where the vehicle rests; of a site on the globe the place that it was laid
+        out round, which ends the router where the vehicle was carried farther from it than its chute has room."""
+        kept = self._stack.filter
+        if self._asked_place is None or self._globe is None or not isinstance(kept, TimedSiteFilter):
+            return rest_ned_m.copy()
+        origin = np.array([*self._globe.to_local(*self._asked_place), rest_ned_m[2]])
+        away_m = float(np.linalg.norm(rest_ned_m - origin))
+        if away_m > kept.chute_room_m and self._rested == _RESTED and not self.ended:
+            self.ended = f"the vehicle was carried {away_m:.1f} m since its site was laid out; start the shield anew"
+        return origin
 
     def _is_blind(self, t_us: int) -> bool:
         """Whether the attitude is too old to fly by: then nothing is said, and the dead-man answers the silence."""

@@ -69,6 +69,11 @@ class TimedSiteFilter(TimedFilter):
             self.force_most_mps2 = max(self.force_most_mps2, float(np.linalg.norm(shown)))
         return after
 
+    @property
+    def chute_room_m(self) -> float:
+        """How far from its middle a vehicle at rest still is within its chute."""
+        return self._of_site.chute_room_m
+
     def replace(self, state: SiteState, site: Site, measurement: Measurement) -> str:
         """The filter's own."""
         return self._of_site.replace(state, site, measurement)

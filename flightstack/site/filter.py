@@ -116,6 +116,11 @@ class SiteFilter:
         numbers[d.GAIN], numbers[d.LAST_US] = (low * high) ** 0.5, -1.0
         return SiteState(origin_ned_m.copy(), new_memory(), numbers, np.zeros((STEPS, ROW)), np.zeros(bending.SIZE))
 
+    @property
+    def chute_room_m(self) -> float:
+        """How far from the middle of its chute a vehicle at rest still is within it."""
+        return float(self._site[OPEN]) - self.certificate.kept_m
+
     def adopt(self, state: SiteState, certificate: Certificate) -> SiteState:
         """Certificates of regions mean nothing here."""
         return state

@@ -31,13 +31,14 @@ inside = [[-5.0, -4.0], [5.0, -4.0], [5.0, 4.0], [-5.0, 4.0]]
 class Rig:
     """A simulated PX4, the router, and a program that speaks as MAVSDK does, all on one clock."""
 
-    def __init__(self, site: Path, vehicle: str | None = None) -> None:
+    def __init__(self, site: Path, vehicle: str | None = None, place: tuple[float, float] | None = None) -> None:
+        """`place`: latitude and longitude where the vehicle was when it was asked for them, of a site on the globe."""
         self.believed, _ = files.load_vehicle(vehicle)
         self.now_us = 0
         """Of the router's clock."""
         self.boot()
         options = ShieldOptions(connect="udpin:127.0.0.1:1", serve="udpin:127.0.0.1:2", site=site, vehicle=vehicle)
-        self.router = ShieldRouter(*shield_stack(options, None))
+        self.router = ShieldRouter(*shield_stack(options, place), place)
         self.program = Link(245, 190)
         self.heard: list[Any] = []
         self.to_vehicle: list[bytes] = []

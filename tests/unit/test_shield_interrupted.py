@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from shield_rig import NAN, SITE, Rig, inside, position, rates, velocity
 
+from flightstack.geodesy import PX4_SIH
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.link import Link
@@ -167,3 +168,32 @@ def test_no_field_of_a_setpoint_whatever_its_number_ends_the_router_or_leads_out
         rig.run(10.0)
     assert inside(rig.places)
     assert rig.router.flies
+
+
+def on_the_globe(folder: Path, asked_north_m: float) -> Rig:
+    """The same room on the globe; the shield asked where the vehicle is when it stood so far north of its place."""
+    corners = [list(PX4_SIH.to_globe(*corner)) for corner in ((-5.0, -4.0), (5.0, -4.0), (5.0, 4.0), (-5.0, 4.0))]
+    path = folder / "globe.toml"
+    path.write_text(SITE[: SITE.index("inside")] + f'frame = "global"\ninside = {corners}\n')
+    return Rig(path, place=PX4_SIH.to_globe(asked_north_m, 0.0))
+
+
+@pytest.mark.parametrize("asked_north_m", [-2.0, thorough(2.0)])
+def test_a_site_on_the_globe_stays_there_where_the_vehicle_was_carried_before_it_was_armed(
+    tmp_path: Path, asked_north_m: float
+) -> None:
+    """It went with the vehicle: its northern wall was 2 m farther."""
+    rig = on_the_globe(tmp_path, asked_north_m)
+    rig.take_off()
+    rig.places.clear()
+    rig.say = lambda: velocity(4.0, 0.0, 0.0)
+    rig.run(5.0)
+    assert inside(rig.places)
+    assert rig.places[-1][0] > 3.0
+
+
+def test_a_vehicle_that_was_carried_out_of_its_chute_ends_the_shield(tmp_path: Path) -> None:
+    rig = on_the_globe(tmp_path, -3.5)
+    rig.take_off()
+    assert "carried 3.5 m" in rig.router.ended
+    assert max(-place[2] for place in rig.places) < 0.1
