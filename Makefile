@@ -82,8 +82,9 @@ $(BIN)/.installed-bench: $(BIN)/.installed
 fly: $(BIN)/.installed
 	$(BIN)/flightstack fly
 
-test: $(BIN)/.installed-dev
-	@$(BIN)/python -m flightstack.cli.compiled flight jsbsim >/dev/null 2>&1 & compiling=$$!; \
+test: $(BIN)/.installed
+	@$(BIN)/python -m flightstack.cli.compiled flight jsbsim site >/dev/null 2>&1 & compiling=$$!; \
+	  $(MAKE) --no-print-directory $(BIN)/.installed-dev && \
 	  $(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports; checked=$$?; \
 	  wait $$compiling; exit $$checked
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder

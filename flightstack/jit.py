@@ -280,12 +280,15 @@ class Entry:
         self.call: Callable[..., Any] = self._first
 
     def _first(self, *arguments: Any) -> Any:
-        """Compile, and from now on call what was compiled."""
+        self.prepare()
+        return self.call(*arguments)
+
+    def prepare(self) -> None:
+        """Compile, or load what was compiled: at the first call at the latest."""
         kinds, _ = sigutils.normalize_signature(f"({self._types},)")
         self._function.compile(kinds)
         entry = self._function.overloads[kinds].entry_point
         self.call = partial(self._checked, count(), entry, kinds) if Entry.checked else entry
-        return self.call(*arguments)
 
     def _checked(self, calls: count[int], entry: Callable[..., Any], kinds: tuple[Any, ...], *arguments: Any) -> Any:
         call = next(calls)

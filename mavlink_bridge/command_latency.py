@@ -48,7 +48,7 @@ class CommandLatency:
 
     def sent(self, t_us: int, thrust_norm: float) -> None:
         """Normalised thrust sent at a vehicle time."""
-        _SENT.call(self.sent_row, t_us, thrust_norm)
+        SENT.call(self.sent_row, t_us, thrust_norm)
 
     def reported(self, t_us: int, motors: Tuple4) -> None:
         """Normalised motor commands at a vehicle time; those that say nothing are left out."""
@@ -106,4 +106,4 @@ def compare_report(sent: F64, square: F64, t_us: float, motors: F64) -> None:
         square[1 + k] += errors[k]
 
 
-_SENT = Entry(_send, "f8[::1], f8, f8")
+SENT = Entry(_send, "f8[::1], f8, f8")

@@ -23,7 +23,7 @@ from flightstack.predictor import take_attitude, take_imu, take_motors, take_pos
 from flightstack.types import F64, Tuple3
 from mavlink_bridge import messages as m
 from mavlink_bridge.codec import Row, Wire
-from mavlink_bridge.command_latency import compare_report
+from mavlink_bridge.command_latency import SENT, compare_report
 from mavlink_bridge.compiled_crc import crc
 from mavlink_bridge.framing import HEADER_SIZE, MAGIC_V2
 from mavlink_bridge.vehicle_params import motor_commands
@@ -256,3 +256,10 @@ def _hear(
 
 _READ = Entry(_read, "Bytes(u1, 1, 'C'), i8, i8, i8, f8[::1]")
 _HEAR = Entry(_hear, "f8[::1], i8, UniTuple(f8[::1], 7), UniTuple(f8, 3), b1, b1")
+
+
+def prepare() -> None:
+    """Make every codec now, and load what the first commands and datagrams call: for loops in real time."""
+    m.prepare()
+    for entry in (_READ, _HEAR, SENT):
+        entry.prepare()

@@ -14,6 +14,7 @@ from typing import Any
 
 from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.cli import files
+from flightstack.cli.compiled import FLIGHT, SITE, ensure_compiled
 from flightstack.cli.flight import FlyOptions, fly_setup, prepare
 from flightstack.cli.protection import governor_for
 from flightstack.cli.result import FlightResult
@@ -70,6 +71,7 @@ def certify_site(
     """Fly, learn, certify; InputError before anything moves."""
     if options.certificate is not None or not options.learning:
         raise InputError("certify --site learns from the prior on: leave out --certificate and --no-learning")
+    ensure_compiled(lambda text: on_progress(0.0, text), FLIGHT, SITE)
     setup = prepare(options)
     timed = setup.flight.protection.filter
     assert isinstance(timed, TimedSiteFilter)

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import IO
 
 from flightstack.jit import cache_folder, machine_key, sources_key
@@ -23,13 +24,18 @@ from flightstack.quick_compiling import locked, quick_compiling
 from flightstack.types import InputError
 from mavlink_bridge.transport.machine import stand_back
 
-SIMULATOR, JSBSIM, FLIGHT = "simulator", "jsbsim", "flight"
-PARTS = (SIMULATOR, JSBSIM, FLIGHT)
-"""The simulated vehicle on the native plant; on JSBSim; the one on the native plant and the companion."""
+SIMULATOR, JSBSIM, FLIGHT, SITE = "simulator", "jsbsim", "flight", "site"
+PARTS = (SIMULATOR, JSBSIM, FLIGHT, SITE)
+"""The simulated vehicle on the native plant; on JSBSim; the one on the native plant and the companion; what `--site`
+and the shield need beside those."""
 _UNFILTERED = "unfiltered"
 """What a companion without certifier and filter calls: half of a flight's part."""
 _SCENARIOS = ("paper-tracking", "minimum-snap")
 _EVERY_S = 5.0
+_FIELD = """schema = "flightstack.site/1"
+ceiling_m = 20.0
+inside = [[-30.0, -30.0], [30.0, -30.0], [30.0, 30.0], [-30.0, 30.0]]
+"""
 
 
 def ensure_compiled(say: Callable[[str], None], *parts: str) -> None:
@@ -95,6 +101,9 @@ def _tell_progress() -> None:
 
 def compile_part(part: str) -> None:
     """Compile everything that a part calls, in this process."""
+    if part == SITE:
+        _compile_site()
+        return
     if part in (FLIGHT, _UNFILTERED):
         from flightstack.cli.flight import FlyOptions, prepare, warm_up_all
 
@@ -117,10 +126,20 @@ def compile_part(part: str) -> None:
         warm_up(vehicle, load_grade("mocap"), "native" if part == SIMULATOR else part)
 
 
+def _compile_site() -> None:
+    """A field large enough for any shipped vehicle; its certificate is searched for, which `kept` remembers."""
+    from flightstack.cli.flight import FlyOptions, prepare, warm_up_all
+
+    with TemporaryDirectory() as folder:
+        field = Path(folder) / "site.toml"
+        field.write_text(_FIELD)
+        warm_up_all(prepare(FlyOptions(scenario=_SCENARIOS[0], site=field)))
+
+
 def main(parts: list[str]) -> None:
     """Compile these parts (none: all that a flight calls), then leave a mark in the cache for each."""
     stand_back()  # two processes that compile in real time leave nobody a processor for a minute
-    strict = not set(parts or [FLIGHT]) & {FLIGHT, _UNFILTERED}  # the simulator takes every sum in its order
+    strict = not set(parts or [FLIGHT]) & {FLIGHT, _UNFILTERED, SITE}  # the simulator takes every sum in its order
     for part in parts or [FLIGHT]:
         if part == _UNFILTERED:
             _end_with(sys.stdin)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from flightstack.autopilot import autopilot_of
 from flightstack.cli import files
-from flightstack.cli.compiled import FLIGHT, JSBSIM, ensure_compiled
+from flightstack.cli.compiled import FLIGHT, JSBSIM, SITE, ensure_compiled
 from flightstack.cli.filed import with_filed
 from flightstack.cli.home import HOME, Home
 from flightstack.cli.live_view import shown_live
@@ -37,7 +37,7 @@ from flightstack_sim.shell import ONBOARD, Shell
 from flightstack_sim.simulated_vehicle import SimulatedVehicle, simulated_vehicle
 from flightstack_sim.streams import LinkKind
 from flightstack_sim.warmup import warm_up as warm_up_simulator
-from mavlink_bridge import messages
+from mavlink_bridge import frequent
 from mavlink_bridge.companion import Companion, CompanionConfig, MissionPlanner
 from mavlink_bridge.link import MAX_DATAGRAM, Link
 from mavlink_bridge.pace import Pace, undisturbed
@@ -156,7 +156,7 @@ _WARM: set[tuple[str, ...]] = set()
 
 def warm_up_all(setup: Setup) -> None:
     """Call once whatever is loaded or compiled at its first call, so that no flight has to wait for it."""
-    messages.prepare()
+    frequent.prepare()
     setup.flight.warm_up()
     warm_up_simulator(setup.truth, setup.grade, setup.plant)
 
@@ -278,6 +278,8 @@ def fly(
     """
     scenario, file = files.load_scenario(options.scenario, options.waypoints)
     options = with_filed(options, scenario.flight, str(file.path))
+    if options.site is not None:
+        ensure_compiled(lambda text: on_progress(0.0, text), FLIGHT, SITE)
     return fly_setup(
         prepare(options), options, stop_requested=stop_requested, on_progress=on_progress, report_wanted=report_wanted
     )

@@ -20,7 +20,7 @@ from flightstack_logs.writer import FlightLog
 from flightstack_sim.grade import load_grade
 from flightstack_sim.px4_hil import STEP_US, PhysicsBehindPx4
 from flightstack_sim.warmup import warm_up
-from mavlink_bridge import messages
+from mavlink_bridge import frequent
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.clock import monotonic_us
 from mavlink_bridge.transport.tcp import TcpServer
@@ -56,7 +56,7 @@ def serve(
     served: dict[str, Any] = {"clients": 0, "steps": 0, "answers": 0, "unanswered": 0, "missed": 0, "simulated_s": 0.0}
     try:
         ensure_compiled(on_wait)
-        messages.prepare()
+        frequent.prepare()
         warm_up(truth, grade, options.plant)
         on_ready(
             f"{truth.name} is up: waiting for PX4 on TCP {HOST}:{server.address[1]}"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flightstack.cli import files
-from flightstack.cli.compiled import ensure_compiled
+from flightstack.cli.compiled import FLIGHT, SITE, ensure_compiled
 from flightstack.cli.console import say
 from flightstack.cli.estimate_gate import EstimateGate
 from flightstack.cli.inspection import Inspector
@@ -27,7 +27,7 @@ from flightstack.types import InputError
 from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import FlightLog
-from mavlink_bridge import messages
+from mavlink_bridge import frequent
 from mavlink_bridge.companion import Companion, CompanionConfig, Observer
 from mavlink_bridge.link import Link
 from mavlink_bridge.pace import undisturbed
@@ -95,6 +95,7 @@ def offboard(
     if options.site is not None:
         site, where = ask_vehicle(options.site, options.connect, options.heartbeat_timeout_s)
         options = replace(options, site=site, where=where)
+        ensure_compiled(lambda text: on_progress(0.0, text), FLIGHT, SITE)
     prepared = prepare_flight(options)
     if options.dry_run and options.set_params:
         raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
@@ -109,7 +110,7 @@ def offboard(
                 prepared = prepare_flight(options, gains)
         ensure_compiled(lambda text: on_progress(0.0, text))
         with prepared.protection.beside():
-            messages.prepare()
+            frequent.prepare()
             prepared.warm_up()
             return _offboard(options, prepared, signer, stop_requested, on_progress)
 

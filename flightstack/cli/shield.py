@@ -14,6 +14,7 @@ from typing import Any
 
 from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.cli import files
+from flightstack.cli.compiled import FLIGHT, SITE, ensure_compiled
 from flightstack.cli.console import say
 from flightstack.cli.controllers import build
 from flightstack.cli.given_certificate import require_checked
@@ -37,7 +38,7 @@ from flightstack.state_observer import StateObserver
 from flightstack.types import InputError
 from flightstack.warmup import warm_up
 from flightstack_sim.grade import load_grade
-from mavlink_bridge import messages
+from mavlink_bridge import frequent
 from mavlink_bridge.pace import undisturbed
 from mavlink_bridge.transport.address import Serial, Transport, UdpOut, open_address, parse_address
 from mavlink_bridge.transport.clock import monotonic_us
@@ -113,8 +114,9 @@ def shield(
     gains = ask_gains(options.connect, None, 10.0, file)
     if others := changed(file, gains):
         say(others)
+    ensure_compiled(lambda text: on_progress(0.0, text), FLIGHT, SITE)
     stack, relay, refiner = shield_stack(options, place, gains)
-    messages.prepare()
+    frequent.prepare()
     warm_up(stack, files.load_scenario(_SCENARIO)[0])
     router = ShieldRouter(stack, relay, refiner, place)
     began_us = monotonic_us()

@@ -15,6 +15,7 @@ from flightstack.cli.flight import FlyOptions, fly, fly_setup
 from flightstack.cli.result import FlightResult
 from flightstack.explore import ExploreConfig, Explorer
 from flightstack_logs.reader import Log, read
+from tests.thorough import ONLY_THEN
 
 pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
 pytestmark = pytest.mark.jsbsim
@@ -43,6 +44,7 @@ def test_the_paper_s_flight_learns_the_mass_and_stays_inside_on_the_other_physic
     assert log.tables["/truth"]["pos_ned_m"][:, 2].min() < -1.0
 
 
+@ONLY_THEN
 def test_the_certified_region_grows_and_is_not_left_on_the_other_physics(tmp_path: Path) -> None:
     """`certify --plant jsbsim`'s flight, one round: what the native model's certifier says holds for JSBSim's truth."""
     options = FlyOptions(scenario="paper-barrier", seed=21, duration_s=30.0, out=tmp_path, plant="jsbsim")
