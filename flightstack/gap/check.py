@@ -16,11 +16,12 @@ import numpy as np
 from flightstack.gap.checks import conventions, quality, speeds
 from flightstack.gap.checks.clocks import judge_rates, settle_clocks
 from flightstack.gap.checks.exclusions import exclude_ground_contact, exclude_stopped_rotors, standing_m
+from flightstack.gap.checks.grid import SLOWEST_MOTOR_S, period_s
 from flightstack.gap.checks.offsets import find_offsets, is_certain, shifted
 from flightstack.gap.checks.rotors import judge_vehicle, moves
 from flightstack.gap.checks.samples import flying_span, make_samples
 from flightstack.gap.checks.spikes import without_spikes
-from flightstack.gap.decisions import CLEAR_M, LEAST_FLIGHT_S, SHORT_FLIGHT_S, STOOD_S
+from flightstack.gap.decisions import CLEAR_M, HALF, LEAST_FLIGHT_S, SHORT_FLIGHT_S, STOOD_S
 from flightstack.gap.records import Checked, Finding, Flight, Offset, Signal, how_to_record, ok, refused, warning
 from flightstack.gap.sources import FREED
 from flightstack.vehicle import Vehicle
@@ -67,11 +68,13 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     signals, spikes = without_spikes(signals, span)
     signals, more = conventions.settle(signals, span)
     findings += [*spikes, *more, *judge_rates(signals, span, flight.kind)]
+    signals, more = _without_rare_imu(signals)
+    findings += more
     offsets = find_offsets(signals, span)
     findings += [_late(each) for each in offsets if is_certain(each)]
     signals = shifted(signals, offsets)
     read = replace(flight, signals=signals)
-    samples = make_samples(flight.name, signals, vehicle, ground_d_m)
+    samples = make_samples(flight.name, signals, vehicle, ground_d_m, estimated=flight.kind in _GROUND_OFF_M)
     if samples is None:
         findings.append(_not_flying(flight.kind))
         return Checked(read, None, tuple(findings), offsets)
@@ -102,6 +105,27 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     findings += quality.judge_quality(samples, signals)
     findings += quality.judge_consistency(signals, span, offsets)
     return Checked(read, None if _is_refused(findings) else samples, tuple(findings), offsets)
+
+
+def _without_rare_imu(signals: dict[str, Signal]) -> tuple[dict[str, Signal], list[Finding]]:
+    """A gyro below 19 Hz is not used where the attitude, an accelerometer where attitude and velocity, are logged more
+    than twice as often: these say what it would, and more.
+
+    Straight lines between rare samples turn and push less than the vehicle did, which passes for inertia or a lag.
+    """
+    out, findings = dict(signals), []
+    for name, others in (
+        ("rate_frd_radps", ("q_ned_frd",)),
+        ("accel_frd_mps2", ("q_ned_frd", "vel_ned_mps")),
+    ):
+        if name not in signals or not set(others) <= signals.keys():
+            continue
+        period = period_s(signals[name])
+        if period > SLOWEST_MOTOR_S and all(period_s(signals[other]) < HALF * period for other in others):
+            del out[name]
+            text = f"{name}: {1.0 / period:.3g} Hz is rarer than {' and '.join(others)}, of which it is made instead"
+            findings.append(warning("rate", text))
+    return out, findings
 
 
 def _is_refused(findings: list[Finding]) -> bool:

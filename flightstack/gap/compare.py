@@ -14,6 +14,7 @@ from flightstack.gap.records import Figures, Residual, Samples
 from flightstack.gap.rollouts import rollout
 from flightstack.gap.run import ModelEvaluation, params_row, true_attitude
 from flightstack.gap.simulate import prediction_error
+from flightstack.gap.sources import FREED
 from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -82,8 +83,9 @@ def expected_noise(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_]) 
 
     An autopilot filters what it logs, and then differences between samples say too little of the noise.  What is left
     of the residual from 0.6 of the cutoff on is taken for noise: of the same power at all lower frequencies for a
-    force, of the power of a derivative for an angular acceleration (and for a force out of the velocity).  Where that
-    band shows clearly less than the samples' differences say, those hold vibration above the cutoff: the band counts.
+    force, of the power of a derivative for an angular acceleration (and for a force out of the velocity, unless a
+    filter made that of its accelerometer).  Where that band shows clearly less than the samples' differences say, those
+    hold vibration above the cutoff: the band counts.
     """
     return _noise_of(prediction_error(vehicle, samples)[1], samples, mask)
 
@@ -101,7 +103,8 @@ def _noise_of(raw: F64, samples: Samples, mask: NDArray[np.bool_]) -> F64:
     gain = 1.0 / (1.0 + (hz / flight.cutoff_hz) ** 4) ** 2
     band = (hz >= _NOISE_FROM * flight.cutoff_hz) & (hz <= flight.cutoff_hz)
     for column in range(6):
-        shape = np.maximum(hz, hz[1]) ** 2 if flight.averaged[column] else np.ones_like(hz)
+        integrated = column < 3 and FREED in samples.derived
+        shape = np.maximum(hz, hz[1]) ** 2 if flight.averaged[column] and not integrated else np.ones_like(hz)
         level = float(np.median(power[band, column] / shape[band]))
         shown = math.sqrt(level * float(np.trapezoid(shape * gain, hz)))
         noise[column] = shown if shown < noise[column] / _FOLDED else max(noise[column], shown)

@@ -33,13 +33,21 @@ _BANDWIDTH = 0.4
 _NOISY = ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2")
 
 
-def make_samples(name: str, signals: Mapping[str, Signal], vehicle: Vehicle, ground_d_m: float) -> Samples | None:
-    """The flying part on a grid; None where there is none of at least half a second."""
+def make_samples(
+    name: str, signals: Mapping[str, Signal], vehicle: Vehicle, ground_d_m: float, *, estimated: bool = False
+) -> Samples | None:
+    """The flying part on a grid; None where there is none of at least half a second.
+
+    `estimated`: velocities are an autopilot's filter's, so that a specific force made of them is its accelerometer's
+    less what the filter believes of its bias.
+    """
     used = dict(signals)
     t_s, dt_s = _grid(used)
     if len(t_s) < 8:
         return None
     columns, valid, derived = _columns(used, t_s, dt_s)
+    if estimated and "accel_frd_mps2" in derived and FREED not in derived:
+        derived.append(FREED)
     height = _height(used, columns, t_s, ground_d_m)
     up = _in_the_air(used, vehicle, t_s, dt_s, ground_d_m)
     valid &= up
