@@ -197,3 +197,24 @@ def test_a_vehicle_that_was_carried_out_of_its_chute_ends_the_shield(tmp_path: P
     rig.take_off()
     assert "carried 3.5 m" in rig.router.ended
     assert max(-place[2] for place in rig.places) < 0.1
+
+
+def test_last_words_leave_the_vehicle_level_in_hold(rig: Rig) -> None:
+    """A second Ctrl-C at speed: what is said in that one moment, and nothing after it."""
+    rig.say = lambda: velocity(3.0, 0.0, 0.0)
+    rig.run(1.0)
+    assert rig.vehicle.plant.vel_ned_mps[0] > 1.0
+    for _ in range(3):
+        rig.router.say_last_words("KeyboardInterrupt")
+        for data in rig.router.link.datagrams_to_send():
+            rig.server.receive(0, data)
+    rig.router.step = lambda now_us: []  # type: ignore[method-assign]
+    rig.say, tilts = lambda: None, []
+    for _ in range(100):
+        rig.run(0.04)
+        _, x, y, _ = rig.vehicle.plant.q_ned_frd
+        tilts.append(np.degrees(np.arccos(1.0 - 2.0 * (x * x + y * y))))
+    assert rig.server.commander.state.mode.title == "Hold"
+    assert max(tilts) < 35.0
+    assert np.linalg.norm(rig.vehicle.plant.vel_ned_mps) < 0.3
+    assert abs(rig.places[-1][2] + 2.0) < 0.4
