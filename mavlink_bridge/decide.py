@@ -62,6 +62,8 @@ class CompanionConfig:
     """Parameters that certificates count on, by PX4's names: one that is told to be another ends protection."""
     contradictions: Callable[[Mapping[str, float]], list[str]] = lambda values: []
     """What PX4's parameters (by name) say against the vehicle file, one line each."""
+    carried: Callable[[VehicleView], str] = lambda view: ""
+    """Why the vehicle stands elsewhere than was counted on, looked at until it flies; empty: it does not."""
 
 
 @dataclass(slots=True)
@@ -246,8 +248,8 @@ def _streaming(now: Situation, now_us: int) -> Decision | None:
         return Decision(HandshakeEvent.UNFIT, wrong)
     if now.unfit:
         return Decision(HandshakeEvent.UNFIT, f"not fit to fly ({now.unfit}): {FAULTS[now.unfit].what}")
-    if slow := _too_slow(now):
-        return Decision(HandshakeEvent.UNFIT, slow)
+    if wrong := _too_slow(now) or config.carried(view):
+        return Decision(HandshakeEvent.UNFIT, wrong)
     in_state_s = _in_state_s(now, now_us)
     if not config.arm or in_state_s < config.stream_before_offboard_s:
         return None

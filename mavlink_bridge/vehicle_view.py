@@ -39,6 +39,8 @@ class VehicleView:
         self.estimator_flags = 0
         self.accuracy_m = math.nan, math.nan
         """One standard deviation of position, across and down, as the estimator states it; NaN: not stated."""
+        self.place: tuple[float, float] | None = None
+        """Latitude and longitude; None: not told."""
         self.params = ParamReader()
         self.latency = CommandLatency()
         self.version: m.AutopilotVersion | None = None
@@ -144,6 +146,9 @@ class VehicleView:
             self.streams.motors(message.t_us, commands)
             self.latency.reported(message.t_us, commands)
 
+    def _on_globe(self, message: m.GlobalPositionInt, now_us: int) -> None:
+        self.place = message.lat_deg, message.lon_deg
+
     def _on_landed(self, message: m.ExtendedSysState, now_us: int) -> None:
         self.landed_state = message.landed_state
 
@@ -188,6 +193,7 @@ _HANDLERS: dict[type, Callable[[VehicleView, Any, int], None]] = {
     m.ScaledImu: VehicleView._on_raw_imu,
     m.ServoOutputRaw: VehicleView._on_motors,
     m.ExtendedSysState: VehicleView._on_landed,
+    m.GlobalPositionInt: VehicleView._on_globe,
     m.EstimatorStatus: VehicleView._on_estimator,
     m.AutopilotVersion: VehicleView._on_version,
     m.SysStatus: VehicleView._on_status,

@@ -21,7 +21,7 @@ from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.set_params import VehicleLink, parameters_set
 from flightstack.cli.vehicle_gains import ask_gains, changed, counted_on
-from flightstack.cli.vehicle_site import ask_vehicle
+from flightstack.cli.vehicle_site import ask_vehicle, carried
 from flightstack.scenario import Scenario
 from flightstack.types import InputError
 from flightstack_logs.log_clock import LogClock, clock_metadata
@@ -188,6 +188,7 @@ def companion_of(
         dead_man=options.dead_man,
         round_trip_max_s=prepared.protection.round_trip_max_s,
         counted=counted_on(prepared.believed) if prepared.protection.filter.enabled else {},
+        carried=lambda view: carried(view, options.where),
     )
     companion = Companion(link, prepared.stack, prepared.scenario, observer, config, inspector)
     inspector.attach(companion)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import tempfile
 from contextlib import closing
 from pathlib import Path
 
 from flightstack.cli.site import read_site
+from flightstack.geodesy import LocalFrame
 from flightstack.types import InputError
 from flightstack_sim.fence import Shape, shapes_of
 from flightstack_sim.plans import FENCE, Item
@@ -16,10 +18,13 @@ from mavlink_bridge import px4
 from mavlink_bridge.link import Link, Received
 from mavlink_bridge.transport.address import framing_for, open_address, parse_address
 from mavlink_bridge.transport.clock import monotonic_us
+from mavlink_bridge.vehicle_view import VehicleView
 
 STORED = Path("vehicle")
 """`--site vehicle`: the fence that is stored in the vehicle."""
 _AGAIN_US = 300_000
+CARRIED_M = 3.0
+"""What an estimate with GPS may wander while the vehicle stands."""
 _KEPT: list[tempfile.TemporaryDirectory[str]] = []
 """Files of stored fences, for as long as the program runs."""
 
@@ -75,6 +80,17 @@ class Questions:
         elif len(self._items) < self._count:
             missing = next(i for i in range(self._count) if i not in self._items)
             self.link.send(m.MissionRequestInt(self._system, px4.COMPONENT_AUTOPILOT, missing, FENCE))
+
+
+def carried(view: VehicleView, laid_round: tuple[float, float] | None) -> str:
+    """Why a vehicle on the ground no longer stands where its site on the globe was laid out round (None: it has none),
+    which goes with it; empty where it does."""
+    if laid_round is None or view.place is None or view.armed:
+        return ""
+    away_m = math.hypot(*LocalFrame(*laid_round, 0.0).to_local(*view.place))
+    return (
+        f"the vehicle was carried {away_m:.1f} m since its site was laid out; start anew" if away_m > CARRIED_M else ""
+    )
 
 
 def as_plan(shapes: tuple[Shape, ...]) -> str:
