@@ -193,7 +193,7 @@ thorough: $(BIN)/.installed-dev
 
 attack: $(BIN)/.installed-dev
 	FLIGHTSTACK_THOROUGH=1 $(BIN)/python -m pytest -q tests/attack tests/loopback/test_dead_companion.py tests/loopback/test_early_certificate.py tests/unit/test_fence_baselines.py tests/unit/test_shield_interrupted.py
-	FLIGHTSTACK_FORGERIES=200 $(BIN)/python -m pytest -q tests/loopback/test_provenance.py tests/unit/test_certificate_check.py
+	FLIGHTSTACK_THOROUGH=1 FLIGHTSTACK_FORGERIES=200 $(BIN)/python -m pytest -q tests/loopback/test_provenance.py tests/unit/test_certificate_check.py
 
 campaign-barrier: $(BIN)/.installed-campaign
 	$(RUN) campaigns/barrier.toml --out runs/$@-$(COMMIT) --resume --minutes $(MINUTES) --set seeds.from=$$((0x$(COMMIT)000)); \

@@ -31,6 +31,7 @@ from flightstack.certificate_check.gaussian import factor, posterior
 from flightstack.certificate_check.intervals import Interval
 from flightstack.certificate_check.knowledge import Box, read, tables
 from flightstack.certificate_check.reading import Refused
+from tests.thorough import THOROUGH
 
 
 @cache
@@ -154,8 +155,8 @@ def test_a_number_changed_under_a_new_seal_is_refused_or_leaves_the_claims_true(
     text = small_text(kind)
     before = json.loads(text)
     refused, passed = 0, 0
-    for path, name, data in changes(text, often):
-        if not in_turn(path, name, kind):
+    for at, (path, name, data) in enumerate(changes(text, often)):
+        if not in_turn(path, name, kind) or (at % 2 and not THOROUGH):  # seven changes of each number: all in turn
             continue
         sealed = resealed(data)
         verdict = check(sealed)
@@ -164,7 +165,7 @@ def test_a_number_changed_under_a_new_seal_is_refused_or_leaves_the_claims_true(
         passed += verdict.valid
         if verdict.valid:
             assert still_true(before, path, sealed), (path, name)
-    assert refused > 280
+    assert refused > (280 if THOROUGH else 140)
     assert passed < 0.4 * refused
 
 
