@@ -192,7 +192,7 @@ thorough: $(BIN)/.installed-dev
 	FLIGHTSTACK_THOROUGH=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
 attack: $(BIN)/.installed-dev
-	FLIGHTSTACK_THOROUGH=1 $(BIN)/python -m pytest -q tests/attack tests/loopback/test_dead_companion.py tests/loopback/test_early_certificate.py tests/unit/test_fence_baselines.py tests/unit/test_shield_interrupted.py
+	FLIGHTSTACK_THOROUGH=1 $(BIN)/python -m pytest -q tests/attack tests/loopback/test_dead_companion.py tests/loopback/test_early_certificate.py tests/loopback/test_gps_provenance.py tests/unit/test_fence_baselines.py tests/unit/test_shield_interrupted.py
 	FLIGHTSTACK_THOROUGH=1 FLIGHTSTACK_FORGERIES=200 $(BIN)/python -m pytest -q tests/loopback/test_provenance.py tests/unit/test_certificate_check.py
 
 campaign-barrier: $(BIN)/.installed-campaign

@@ -8,8 +8,10 @@ from flightstack.certificate_check import DERIVED, check
 from flightstack.cli.certify import certify
 from flightstack.cli.flight import FlyOptions
 from flightstack.explore import ExploreConfig
+from tests.thorough import ONLY_THEN
 
 
+@ONLY_THEN
 def test_the_log_of_a_gps_flight_stands_behind_its_certificate(tmp_path: Path) -> None:
     """Seed 1: its first windows seem so noisy that their thrust is learned as what the reference asked for."""
     options = FlyOptions(scenario="gps-barrier", seed=1, duration_s=36.0, out=tmp_path)

@@ -52,7 +52,7 @@ def test_an_exploration_is_planned_again_the_same_bit_for_bit(tmp_path: Path) ->
     again = replay(Path(log))
     assert again.lines == [f"{again.ticks} ticks: the same, bit for bit"]
     assert again.ticks > 3000
-    short = dataclasses.replace(options, duration_s=10.0, out=tmp_path / "other")
+    short = dataclasses.replace(options, duration_s=2.0, out=tmp_path / "other")
     other = certify(short, stop_requested=lambda: "", config=ExploreConfig(rounds_max=1)).flight.log
     with pytest.raises(InputError, match="rules that it does not name"):
         replay(Path(str(other)))
