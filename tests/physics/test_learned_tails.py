@@ -15,6 +15,7 @@ from flightstack.model import Model
 from flightstack.stack import Stack
 from flightstack.types import F64
 from tests.closed_loop import fly
+from tests.thorough import thorough
 
 VALID = 2.0
 MOST = np.full(3, 0.003)
@@ -45,7 +46,7 @@ def misses(task: str, seed: int) -> F64:
     [
         ("hover", range(200, 208), MOST),
         ("figure8", range(200, 203), MOST),
-        ("steady-wind", range(200, 203), MOST),
+        thorough("steady-wind", range(200, 203), MOST),
         ("rotor-drag", range(200, 206), LIFT),
     ],
 )

@@ -18,6 +18,7 @@ from shipped import load_vehicle
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Model
 from flightstack.types import F64, Command, FlatOutput, Learned
+from tests.thorough import thorough
 
 G = 9.80665
 BELIEVED_PER_S = 1.0
@@ -69,7 +70,7 @@ def flown(drag_per_s: float, gain: float, seconds: float = 30.0) -> Learned:
     return told
 
 
-@pytest.mark.parametrize(("drag_per_s", "gain"), [(2.0, 1.0), (1.0, 0.8), (0.5, 1.1)])
+@pytest.mark.parametrize(("drag_per_s", "gain"), [(2.0, 1.0), (1.0, 0.8), thorough(0.5, 1.1)])
 def test_drag_is_not_taken_for_thrust(drag_per_s: float, gain: float) -> None:
     told = flown(drag_per_s, gain)
     assert told.thrust_gain == pytest.approx(gain, abs=0.03)
