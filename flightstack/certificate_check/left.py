@@ -31,6 +31,8 @@ _LITTLE_MPS, _MUCH_MPS, _LEANT_S, _LITTLE_MPS2 = 2.0, 4.0, 0.4, 1.0
 beyond what brakes that adds nothing by itself."""
 _QUICK_MPS3, _FASTEST_BEGUN_MPS3 = 8.0, 25.0
 """Turning beyond which a tube grows with its square; what no way begins with more than."""
+_LOST_MPS2 = 1e6
+"""A lean that is never brought back, well before its numbers overflow."""
 _ROUNDS, _SHARES, _ENOUGH, _PASSED_ON = 6, (1.0, 0.4, 0.15), 0.9, 2
 
 
@@ -104,6 +106,8 @@ def laid_out(way: Way, loop: Loop, v: complex, a: complex, j: complex = 0j) -> _
         rows.append((p, v, a, asked, j))
         if abs(v) < 0.03 and abs(a) < 0.15:
             break
+        if not abs(a) < _LOST_MPS2:
+            return np.zeros((0, 5), dtype=np.complex128)
         hurry = min(max(2.0 * (abs(v) / way.fast_mps - 1.0), 0.0), 1.0)
         stops = min(max(2.0 * (abs(j) / turns - 0.8), 0.0), 1.0)
         most = max(

@@ -88,7 +88,7 @@ def ahead_of_others() -> Iterator[bool]:
 @contextlib.contextmanager
 def locked_memory(wanted: bool) -> Iterator[None]:
     """`lock_memory` where it is wanted, and back."""
-    is_locked = wanted and lock_memory()
+    is_locked = wanted and lock_memory(_SPARE_BYTES)
     try:
         yield
     finally:
@@ -103,7 +103,7 @@ def locked_memory(wanted: bool) -> Iterator[None]:
                 libc.malloc_trim(0)
 
 
-def lock_memory() -> bool:
+def lock_memory(spare_bytes: int = 0) -> bool:
     """Keep every page in memory where that is permitted for all of them; whether it is.
 
     And have some to spare: a page that is new costs some 10 us, of which a learner that begins takes a thousand.
@@ -118,9 +118,11 @@ def lock_memory() -> bool:
         libc = ctypes.CDLL(None)
         is_locked = bool(libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0)
         with contextlib.suppress(AttributeError):  # of another C library
-            if is_locked and libc.mallopt(_M_MMAP_MAX, 0) and libc.mallopt(_M_TRIM_THRESHOLD, 2 * _SPARE_BYTES):
+            if not (is_locked and spare_bytes):
+                return is_locked
+            if libc.mallopt(_M_MMAP_MAX, 0) and libc.mallopt(_M_TRIM_THRESHOLD, 2 * spare_bytes):
                 libc.malloc.restype, libc.free.argtypes = ctypes.c_void_p, (ctypes.c_void_p,)
-                libc.free(libc.malloc(ctypes.c_size_t(_SPARE_BYTES)))  # locked, so it is there at once
+                libc.free(libc.malloc(ctypes.c_size_t(spare_bytes)))  # locked, so it is there at once
         return is_locked
     except (ImportError, OSError, AttributeError):
         return False
