@@ -12,7 +12,8 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Kept whatever the environment says: without bytecode each of the many processes that tests start compiles 300 modules.
 export PYTHONDONTWRITEBYTECODE :=
 
-# What is never imported is not compiled to bytecode: half of the time that installing takes.
+# What is never imported is not compiled to bytecode: half of the time that installing takes.  What is, is imported once:
+# who has PYTHONDONTWRITEBYTECODE set and runs the program by itself would compile it at every start.
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 .DEFAULT_GOAL := help
@@ -64,6 +65,7 @@ $(BIN)/.installed: pyproject.toml
 	  || { echo "error: Python 3.11 to 3.13 is needed; say which: make PYTHON=python3.11 ..." >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --editable .
+	@$(BIN)/python -c 'import flightstack.cli.flight, flightstack.cli.gap'
 	@touch $@
 
 $(BIN)/.installed-dev: $(BIN)/.installed
