@@ -269,6 +269,8 @@ BAD = {
     "j.csv": (b"", "is empty"),
     "k.png": (b"\x89PNG\r\n\x1a\n" + bytes(100), "no known kind"),
     "l.txt": (b"Hello world\n", "no known kind"),
+    "README.md": (b"# A stack\n\nFlies, learns, tells.\n\n* one, two\n* 3 of them\n\nAnd more.\n", "no known kind"),
+    "licence": (b"Permission, free of charge, to\nobtain, 2026, this,\nto deal, in it.\nThe end\n", "no known kind"),
     "m.csv": ((HEADER + ",motor_5,motor_6\n" + ",".join(["1"] * 24) + "\n").encode(), "6 motors"),
     "n.csv": ((HEADER.replace(",motor_4", "") + "\n" + ",".join(["1"] * 21) + "\n").encode(), "3 motors"),
 }  # fmt: skip

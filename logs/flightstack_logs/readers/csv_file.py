@@ -45,6 +45,8 @@ UNITS = {"pos_ned_m": "m", "vel_ned_mps": "m/s", "acc_ned_mps2": "m/s^2", "q_ned
 _KNOWN = frozenset(re.findall(r'"([a-z0-9_]+)"', _OWN))
 _UNIT = re.compile(r"_(s|m|mps|radps|mps2|v)$")
 _MOTION = frozenset(("pos_n_m", "vel_n_mps", "acc_n_mps2", "accel_x_mps2"))
+_TIMES = frozenset(("time_s", "time", "t"))
+"""Names of this project's first column, as strangers write it."""
 _FIRST, _LONGEST = 24, 40
 """Names that a line lists, and letters of each."""
 _LATEST_S = 4e9
@@ -55,13 +57,24 @@ _UNSORTED = 0.01
 
 
 def is_text_table(data: bytes) -> bool:
-    """Whether the header is printable text of several fields."""
-    header = _from_header(data[:65536])[0]
+    """Whether the header is printable text of several fields, and rows of numbers follow (or none at all)."""
+    header, body = _from_header(data[:65536])
     try:
         text = header.decode("utf-8-sig")
     except UnicodeDecodeError:
         return False
-    return text.replace("\t", " ").isprintable() and _separator(text) is not None
+    separator = _separator(text)
+    if separator is None or not text.replace("\t", " ").isprintable():
+        return False
+    return bool(_TIMES & {name.strip(' "') for name in text.lower().split(separator)}) or _has_rows(body, separator)
+
+
+def _has_rows(body: bytes, separator: str) -> bool:
+    """Whether no line follows, or as many lines as not hold a number: prose has commas, too, but hardly such lines."""
+    lines = [line for line in body.splitlines() if line.strip()]
+    mark = separator.encode()
+    numbers = sum(any(map(_is_number, line.split(mark))) for line in lines)
+    return 2 * numbers >= len(lines)
 
 
 def _from_header(data: bytes) -> tuple[bytes, bytes]:
