@@ -34,13 +34,16 @@ class HoverCheck:
         self.contradiction = ""
         """Why the file is another vehicle's, one line; empty while nothing says so."""
         self._model, self._view, self._stop = model, view, stop
-        self._sum = 0.0
+        self._sum = self._rose_m = 0.0
         self._count = 0
         self._decided = False
 
     def step(self, mission: Mission, t_s: float, record: TickRecord) -> Mission:
         """See Planner."""
-        if self._decided or t_s < mission.takeoff_end_s + _FROM_S:
+        if self._decided:
+            return mission
+        self._rose_m = max(self._rose_m, mission.ground_down_m - float(record.measurement.pos_ned_m[2]))
+        if t_s < mission.takeoff_end_s + _FROM_S:
             return mission
         values = self._view.params.values
         if not unsettled_hover(values, self._model.hover_norm):
@@ -50,16 +53,21 @@ class HoverCheck:
             if math.isfinite(thrust):
                 self._sum, self._count = self._sum + thrust, self._count + 1
         else:
-            self._decide(hover_setpoint(values, self._model.hover_norm))
+            self._decide(hover_setpoint(values, self._model.hover_norm), _first_climb_m(mission))
         return mission
 
-    def _decide(self, believed: float) -> None:
+    def _decide(self, believed: float, climb_m: float) -> None:
         self._decided = True
         if not self._count:
             return
         measured = hover_setpoint(self._view.params.values, self._sum / self._count)
         if self._view.on_ground:
             said = f"with {measured:.2f} it has not left the ground"
+        elif climb_m > _CLIMB_LEAST_M and not self._rose_m >= LEAST_RISE * climb_m:
+            # standing on the ground, too: by its land detector PX4 is in the air there where its motors are loud
+            said = (
+                f"with {measured:.2f} it rose {max(self._rose_m, 0.0):.2f} m of the {climb_m:.2f} m of its first climb"
+            )
         elif hover_differs(believed, measured):
             said = f"{measured:.2f} in the first hover (more than {HOVER_TOLERANCE:.0%} apart)"
         else:
@@ -87,7 +95,7 @@ class RiseCheck:
         self._rose_m = max(self._rose_m, mission.ground_down_m - float(record.measurement.pos_ned_m[2]))
         if t_s >= mission.takeoff_end_s + _TO_S:
             self._decided = True
-            climb_m = mission.ground_down_m - float(mission.reference(mission.takeoff_end_s).pos_ned_m[2])
+            climb_m = _first_climb_m(mission)
             if climb_m > _CLIMB_LEAST_M and not self._rose_m >= LEAST_RISE * climb_m:
                 self._stop(never_flew(self._rose_m, climb_m))
         elif t_s < mission.takeoff_end_s:
@@ -96,3 +104,7 @@ class RiseCheck:
                 self._decided = True
                 self._stop(stands(self._rose_m, asked_m))
         return mission
+
+
+def _first_climb_m(mission: Mission) -> float:
+    return mission.ground_down_m - float(mission.reference(mission.takeoff_end_s).pos_ned_m[2])

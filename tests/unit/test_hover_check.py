@@ -20,12 +20,19 @@ MODEL = Model.from_vehicle(load_vehicle("quad-x"))  # 1.2 kg of 26.4 N, speed-co
 STEP_S = 0.004
 
 
+class _Measured(NamedTuple):
+    pos_ned_m: F64
+
+
 class _Record(NamedTuple):
     command: Command
+    measurement: _Measured
 
 
-def flown(thrust_norm: float, *, landed: int = 2, told: float = 0.5) -> tuple[HoverCheck, list[str]]:
-    """A flight that commands a constant thrust, with noise that averages out."""
+def flown(
+    thrust_norm: float, *, landed: int = 2, told: float = 0.5, share: float = 1.0
+) -> tuple[HoverCheck, list[str]]:
+    """A flight that commands a constant thrust, with noise that averages out, and rises by a share of its reference."""
     stops: list[str] = []
     view = VehicleView()
     view.landed_state = landed
@@ -34,7 +41,8 @@ def flown(thrust_norm: float, *, landed: int = 2, told: float = 0.5) -> tuple[Ho
     noise = np.random.default_rng(1).normal(0.0, 0.05, 5000)
     for tick in range(round((MISSION.takeoff_end_s + 3.0) / STEP_S)):
         command = Command(0, 1.0, thrust_norm + float(noise[tick]), np.zeros(3))
-        assert check.step(MISSION, tick * STEP_S, _Record(command)) is MISSION  # type: ignore[arg-type]
+        measured = _Measured(share * MISSION.reference(tick * STEP_S).pos_ned_m)
+        assert check.step(MISSION, tick * STEP_S, _Record(command, measured)) is MISSION  # type: ignore[arg-type]
     return check, stops
 
 
@@ -54,6 +62,15 @@ def test_a_vehicle_that_has_not_left_the_ground_is_another_one() -> None:
     assert stops == [check.contradiction]
 
 
+@pytest.mark.parametrize("thrust_norm", [0.35, 0.7])
+def test_one_that_stands_on_the_ground_with_its_motors_loud_was_in_no_hover(thrust_norm: float) -> None:
+    """A real PX4 calls a vehicle with a third of its thrust in the air, on the ground as it is."""
+    check, stops = flown(thrust_norm, landed=2, share=0.02)
+    said = f"with {thrust_norm:.2f} it rose 0.03 m of the 1.50 m of its first climb"
+    assert check.contradiction == f"hover thrust: 0.67 by the vehicle file, {said}"
+    assert stops == [check.contradiction]
+
+
 @pytest.mark.parametrize("told", [0.668, 0.6, 0.49])
 def test_where_px4_was_told_its_hover_thrust_nothing_is_left_to_decide(told: float) -> None:
     """A heavier load than the file's is the learner's business, not another vehicle."""
@@ -69,12 +86,9 @@ def test_thrust_that_is_no_number_decides_nothing() -> None:
     stops: list[str] = []
     check = HoverCheck(MODEL, view, stops.append)
     for tick in range(round((MISSION.takeoff_end_s + 3.0) / STEP_S)):
-        check.step(MISSION, tick * STEP_S, _Record(Command(0, 1.0, float("nan"), np.zeros(3))))  # type: ignore[arg-type]
+        record = _Record(Command(0, 1.0, float("nan"), np.zeros(3)), _Measured(np.zeros(3)))
+        check.step(MISSION, tick * STEP_S, record)  # type: ignore[arg-type]
     assert not stops
-
-
-class _Measured(NamedTuple):
-    pos_ned_m: F64
 
 
 class _Seen(NamedTuple):
