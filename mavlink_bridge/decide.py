@@ -258,10 +258,9 @@ def _streaming(now: Situation, now_us: int) -> Decision | None:
         if now.stalls.is_held and now.stalls.own_hold(view.custom_mode):  # refused, it is disarmed
             now.stalls.judge(now_us, is_taking_back=False)
             return Decision(HandshakeEvent.UNFIT, f"stalled while arming: {now.stalls.words}")
-        return Decision(
-            HandshakeEvent.TOOK_OVER,
-            f"the mode changed to {view.mode_name} while arming: leaving the vehicle to the pilot",
-        )
+        lately = now.stalls.asked_lately(view.custom_mode, now_us)
+        left = f"{lately}: hands off" if lately else ": leaving the vehicle to the pilot"
+        return Decision(HandshakeEvent.TOOK_OVER, f"the mode changed to {view.mode_name} while arming{left}")
     if in_state_s > config.stream_before_offboard_s + config.arm_timeout_s:
         what = "arming" if view.in_offboard else "OFFBOARD mode"
         command = px4.Cmd.COMPONENT_ARM_DISARM if view.in_offboard else px4.Cmd.DO_SET_MODE
@@ -287,7 +286,8 @@ def _offboard(now: Situation, now_us: int) -> Decision | None:
     if view.mode_at_us > now.entered_us and not view.in_offboard:
         if now.stalls.is_late_hold(view.custom_mode, now_us):
             return Decision(HandshakeEvent.STALLED)
-        reason = f"the vehicle left OFFBOARD for {view.mode_name}, not by this companion: hands off"
+        why = now.stalls.asked_lately(view.custom_mode, now_us) or ", not by this companion"
+        reason = f"the vehicle left OFFBOARD for {view.mode_name}{why}: hands off"
         return Decision(HandshakeEvent.TOOK_OVER, reason + _says(view, now_us, 3))
     if now.ending:
         return Decision(HandshakeEvent.ENDED, now.ending)

@@ -30,6 +30,8 @@ class Stalls:
         self.taken_back = 0
         """How often OFFBOARD was taken back."""
         self._known_hold_ns = 0
+        self._asked_us = -2 * RETAKE_LIMIT_US
+        """When the dead-man first asked for the Hold that it told of last."""
         self._taken_us = -AGAIN_US
         self._silent_us = 0
         """Since when nobody steers, at the last stall that was judged."""
@@ -43,6 +45,8 @@ class Stalls:
     def hear(self, report: DeadManRecord) -> None:
         """Take the dead-man's last word."""
         self.report = report
+        if report.hold_ns:
+            self._asked_us = report.hold_ns // 1000
 
     @property
     def is_held(self) -> bool:
@@ -93,6 +97,16 @@ class Stalls:
         """
         answered = self._answered_us > self.report.hold_ns // 1000
         return answered and now_us < self._late_until_us and self.own_hold(custom_mode)
+
+    def asked_lately(self, custom_mode: int, now_us: int) -> str:
+        """That the dead-man asked for Hold shortly before one that it does not know for its own; else empty.
+
+        Nobody can tell whose that is: a busy vehicle obeys late.  It is left alone, but not called a pilot's.
+        """
+        ago_us = now_us - self._asked_us
+        if custom_mode != px4.MODE_HOLD or ago_us > RETAKE_LIMIT_US:
+            return ""
+        return f", {1e-6 * ago_us:.1f} s after the dead-man had asked for Hold"
 
     @property
     def words(self) -> str:

@@ -45,6 +45,7 @@ def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) 
         hold_was_lost=lambda view: False, report=SimpleNamespace(touched=False, silent_ns=0),
         judge=lambda now_us, is_taking_back: "too long",
         is_back=lambda now_us, hold_seen: None, is_late_hold=lambda mode, now_us: False,
+        asked_lately=lambda mode, now_us: "",
     )  # fmt: skip
     vars(held).update(stalls)
     now = Situation(CONFIG, seen, commands, state, ENTERED, system=1, fresh=True)  # type: ignore[arg-type]
@@ -312,3 +313,27 @@ def test_a_landing_that_someone_ends_says_why_it_had_begun() -> None:
         decision = decide(situation(State.LANDING, view, landing_for=landing_for), ENTERED + S)
         assert decision is not None
         assert decision.reason.startswith(begin)
+
+
+@pytest.mark.parametrize(
+    ("state", "view", "asked", "begin"),
+    [
+        (
+            State.STREAMING,
+            {"mode_at_us": 3},
+            {ARMING: {"accepted": True, "answered_us": 2}},
+            "the mode changed to Hold while arming",
+        ),
+        (State.OFFBOARD, AWAY, {}, "the vehicle left OFFBOARD for Hold"),
+    ],
+)
+def test_a_hold_that_may_be_the_dead_mans_is_nobodys(
+    state: State, view: dict[str, Any], asked: dict[Any, Any], begin: str
+) -> None:
+    """Hands off all the same, without a word of a pilot."""
+    stalls = {"asked_lately": lambda mode, now_us: ", 0.2 s after the dead-man had asked for Hold"}
+    given = {**view, "custom_mode": px4.MODE_HOLD, "mode_name": "Hold"}
+    decision = decide(situation(state, given, asked=asked, stalls=stalls), ENTERED + 6 * S // 10)
+    assert decision is not None
+    assert decision.event is E.TOOK_OVER
+    assert decision.reason == f"{begin}, 0.2 s after the dead-man had asked for Hold: hands off"

@@ -64,3 +64,18 @@ def test_a_hold_that_was_taken_for_lost_is_known_when_it_comes(
     if answered:
         stalls.mode_was_granted(back_us)
     assert stalls.is_late_hold(mode, back_us + after_us) is late
+
+
+@pytest.mark.parametrize(
+    ("mode", "after_us", "said"),
+    [(px4.MODE_HOLD, 400_000, ", 0.4 s after the dead-man had asked for Hold"), (px4.MODE_HOLD, 1_000_001, ""),
+     (px4.MODE_LAND, 400_000, "")],
+)  # fmt: skip
+def test_a_hold_that_may_be_the_dead_mans_is_not_told_as_a_pilots(mode: int, after_us: int, said: str) -> None:
+    """A PX4 on a busy machine obeyed 0.25 s late, in the next silence, whose report knows of no Hold."""
+    stalls = Stalls()
+    assert stalls.asked_lately(px4.MODE_HOLD, 0) == ""
+    stalls.hear(NOBODY._replace(acts=3, silent_ns=5_000 * MS, hold_ns=5_070 * MS, alive_ns=5_080 * MS))
+    stalls.hear(NOBODY._replace(acts=4, silent_ns=5_200 * MS, hold_ns=0, touched=1, alive_ns=5_330 * MS))
+    assert not stalls.own_hold(mode)
+    assert stalls.asked_lately(mode, 5_070_000 + after_us) == said
