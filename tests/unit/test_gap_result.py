@@ -16,7 +16,7 @@ from flightstack.gap.gather import limits
 from flightstack.gap.identify import Identifiable
 from flightstack.gap.pooled import split
 from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Samples, Unexplained
-from flightstack.gap.report import words
+from flightstack.gap.report import tables, words
 from flightstack.gap.report.page import panels
 from flightstack.gap.report.record import GapReport, Trace
 from flightstack.gap.verdict import closed
@@ -112,6 +112,26 @@ def test_nothing_is_invented_where_nothing_is_found() -> None:
     assert "agree within the noise" in words.sentence((), GAP, NOTHING)
     rest = words.sentence((), GAP, Unexplained(True, ("position",), 0.8))
     assert "no effect of the table explains; it depends on position" in rest
+
+
+@pytest.mark.parametrize(
+    ("before", "side_only", "part"),
+    [
+        (figures(0.0153, None), True, "side force"),  # motors at 10 Hz: 0.8 kg too much stood beside "no gap"
+        (figures(0.0153, None), False, "force"),
+        (figures(None, 0.1), False, "turning"),
+        (figures(0.0153, 0.1), False, ""),
+    ],
+)
+def test_no_gap_is_said_of_what_was_compared_only(before: Figures, side_only: bool, part: str) -> None:
+    gap = Gap(before, before, before, None)
+    said = words.sentence((), gap, NOTHING, side_only=side_only)
+    state, word = words.verdict((), gap, NOTHING, side_only=side_only)
+    assert said.startswith("Model and measurement agree within the noise")
+    assert (f"in {part}, all that was compared" in said) is bool(part)
+    assert (state, word) == (("plain", f"no gap in {part}") if part else ("good", "no gap"))
+    page = tables.effects(GapReport(said, "quad-x", gap, (), (), NOTHING, ()))
+    assert (f"in {part}, all that was compared" in page) is bool(part)
 
 
 def flight(seconds: float) -> Samples:

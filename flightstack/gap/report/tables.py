@@ -29,7 +29,9 @@ def effects(report: GapReport) -> str:
             "Nothing was put into the model for it.</p></div>"
         )
     if not parts:
-        return '<p class="missing">Nothing: model and measurement agree within the noise.</p>'
+        part = words.compared(report.gap, side_only=words.is_side_only(report))
+        where = f" in {part}, all that was compared" if part else ""
+        return f'<p class="missing">Nothing: model and measurement agree within the noise{where}.</p>'
     if report.takes:
         parts.append(f'<p class="note">The companion takes {escape(", ".join(report.takes))} into its model.</p>')
     if report.learner:

@@ -78,7 +78,11 @@ def sentence(
     elif gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
         parts = ["The logs can't be compared with the simulation: only the data check was made"]
     else:
-        parts = ["Model and measurement agree within the noise", limits]
+        part = compared(gap, side_only=side_only)
+        parts = [
+            f"Model and measurement agree within the noise{f' in {part}, all that was compared' * bool(part)}",
+            limits,
+        ]
     parts.append(untold)
     if side_only:
         parts.append(_SIDE_ONLY)
@@ -92,9 +96,23 @@ def headline(report: GapReport) -> str:
     named = [" or ".join(effect(name) for name in (f.name, *f.indistinguishable_from)) for f in report.found]
     text = named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
     parts = [f"The model lacks {text}", _closed(report.gap, len(named)), *_rest(report.unexplained, report.gap)]
-    if report.sentence.endswith(f"{_SIDE_ONLY}."):
+    if is_side_only(report):
         parts.append(_SIDE_ONLY)
     return "; ".join(part for part in parts if part) + "."
+
+
+def is_side_only(report: GapReport) -> bool:
+    """Whether these logs' motors told too little for more than the side force."""
+    return report.sentence.endswith(f"{_SIDE_ONLY}.")
+
+
+def compared(gap: Gap, *, side_only: bool = False) -> str:
+    """What was compared, where that is not all: of the rest no log says that there is no gap."""
+    if side_only:
+        return "side force"
+    if gap.before.one_step_radps2 is None:
+        return "force"
+    return "turning" if gap.before.one_step_mps2 is None else ""
 
 
 def _found(found: tuple[IdentifiedEffect, ...]) -> str:
@@ -186,12 +204,17 @@ def held_out(found: IdentifiedEffect) -> str:
     )
 
 
-def verdict(found: tuple[IdentifiedEffect, ...], gap: Gap, unexplained: Unexplained) -> tuple[str, str]:
+def verdict(
+    found: tuple[IdentifiedEffect, ...], gap: Gap, unexplained: Unexplained, *, side_only: bool = False
+) -> tuple[str, str]:
     """The page's state (good, plain, bad) and word."""
     if unexplained.significant:
         return "bad", "partly explained" if found else "not explained"
     if not found:
-        return ("good", "no gap") if gap.before.one_step_mps2 is not None else ("plain", "data check only")
+        if gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
+            return "plain", "data check only"
+        part = compared(gap, side_only=side_only)
+        return ("plain", f"no gap in {part}") if part else ("good", "no gap")
     if any(each.indistinguishable_from for each in found):
         return "plain", "found, with a twin"
     return "good", "found"

@@ -1,4 +1,7 @@
-"""This project's own logs: what the vehicle reported over MAVLink, by the vehicle's sample times; never the truth."""
+"""What the vehicle reported, by its own sample times; never the truth.
+
+This project's own logs, and those of ground stations and of ArduPilot under this project's topics.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,13 @@ _MOST = 1e6
 _BATTERY_LEAST_V = 0.5
 _ALIKE = 0.8
 """Correlation from which an output drives a motor."""
+_PX4 = 12
+"""MAV_AUTOPILOT_PX4."""
+_FLIGHT = {
+    "tlog": "LOCAL_POSITION_NED, ATTITUDE, HIGHRES_IMU, RAW_IMU and SERVO_OUTPUT_RAW; let the vehicle stream them",
+    "dataflash": "XKF1, ATT, IMU and RCOU; set LOG_BITMASK to 180222, or LOG_DISARMED off and fly",
+}
+"""By kind of log what a flight is told by, and what to do where none of it is there."""
 
 
 def signals(log: Log) -> tuple[dict[str, Signal], list[str]]:
@@ -36,8 +46,7 @@ def signals(log: Log) -> tuple[dict[str, Signal], list[str]]:
         found["rate_frd_radps"] = _signal(attitude, "t_boot_us", "rate_frd_radps")
     if imu is not None:
         accel = _signal(imu, "t_us", "accel_frd_mps2")
-        freed = log.kind == "mcap"  # HIGHRES_IMU as PX4 sends it
-        found["accel_frd_mps2"] = replace(accel, source=f"{accel.source}, {FREED}") if freed else accel
+        found["accel_frd_mps2"] = replace(accel, source=f"{accel.source}, {FREED}") if _is_freed(log) else accel
         found["rate_frd_radps"] = _signal(imu, "t_us", "rate_frd_radps")
     if motors is not None and motors["pwm_us"].ndim == 2 and motors["pwm_us"].shape[1] >= 4:
         raw = _signal(motors, "t_us", "pwm_us")
@@ -54,9 +63,20 @@ def signals(log: Log) -> tuple[dict[str, Signal], list[str]]:
     if status is not None:
         on_ground = (status["landed"].astype(bool) | ~status["armed"].astype(bool)).astype(np.float64)
         found["landed"] = Signal(status.t_us.astype(np.float64) * 1e-6, on_ground, "/vehicle/status")
+    if log.kind in _FLIGHT and not found.keys() - {"landed", "battery_v"}:
+        raise InputError(f"log {log.path}: holds no flight: there is none of {_FLIGHT[log.kind]}")
     if not found and log.tables:
         raise InputError(f"log {log.path}: is an MCAP of other origin (no /vehicle topics); convert it to CSV")
     return found, notes
+
+
+def _is_freed(log: Log) -> bool:
+    """Whether the IMU is HIGHRES_IMU as PX4 sends it, less what its filter believes of the accelerometer's bias."""
+    if log.kind == "mcap":
+        return True
+    heart = log.tables.get("HEARTBEAT")
+    flown_by = None if heart is None or not len(heart) else int(np.median(heart["autopilot"]))
+    return log.kind == "tlog" and "HIGHRES_IMU" in log.tables and flown_by in (None, _PX4)
 
 
 def _refuse_more_motors(log: Log, pulse_us: F64) -> None:
