@@ -111,7 +111,10 @@ def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:
     if why := result.why:
         yield "why", why
     pace = f"{result.wall_time_s:.1f} s, {result.clock_time_s / max(result.wall_time_s, 1e-9):.1f} times real time"
-    yield "flight", f"{result.flight_time_s:.1f} s from take-off to disarmed (in {pace})"
+    if result.flight_time_s:
+        yield "flight", f"{result.flight_time_s:.1f} s from take-off to disarmed (in {pace})"
+    else:
+        yield "flight", f"none: refused or ended before it (after {result.wall_time_s:.1f} s)"
     tracking = result.tracking
     if tracking["rmse_m"] is not None:
         yield (
@@ -159,7 +162,7 @@ def _learning(gp: dict[str, Any]) -> str:
     parts = []
     if gp["points"] is not None:
         parts.append(f"{gp['points']} points of {gp['fed']} samples")
-    if gp["thrust_gain"] is not None:
+    if gp["thrust_gain"] is not None and gp["points"] != 0:
         parts.append(f"thrust {gp['thrust_gain']:.3f} of the believed")
     if gp["coverage_3sigma"] is not None:
         parts.append(f"truth within 3 sigma {100 * gp['coverage_3sigma']:.2f} %")

@@ -181,6 +181,17 @@ def test_a_flight_without_learning_says_off_and_one_that_learned_nothing_says_so
     assert lines == [["learning", "off"], ["learning", "nothing", "learned"]]
 
 
+def test_a_flight_that_learned_of_nothing_or_was_none_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a wrong vehicle file: "thrust 1.000 of the believed", "0.0 s from take-off to disarmed"."""
+    nothing = NO_GP | {"enabled": True, "points": 0, "fed": 243, "thrust_gain": 1.0}
+    console.show_result(flown(gp=nothing, flight_time_s=0.0, completed=False, wall_time_s=0.7))
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "learning 0 points of 243 samples" in printed
+    assert "believed" not in printed
+    assert "flight none: refused or ended before it (after 0.7 s)" in printed
+    assert "take-off" not in printed
+
+
 # ---------------------------------------------------------------- events
 
 
