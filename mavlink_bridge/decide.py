@@ -62,8 +62,8 @@ class CompanionConfig:
     """Parameters that certificates count on, by PX4's names: one that is told to be another ends protection."""
     contradictions: Callable[[Mapping[str, float]], list[str]] = lambda values: []
     """What PX4's parameters (by name) say against the vehicle file, one line each."""
-    carried: Callable[[VehicleView], str] = lambda view: ""
-    """Why the vehicle stands elsewhere than was counted on, looked at until it flies; empty: it does not."""
+    misplaced: Callable[[VehicleView], str] = lambda view: ""
+    """Why the vehicle does not stand where its site counts on, or does not know where; looked at until it flies."""
 
 
 @dataclass(slots=True)
@@ -248,7 +248,7 @@ def _streaming(now: Situation, now_us: int) -> Decision | None:
         return Decision(HandshakeEvent.UNFIT, wrong)
     if now.unfit:
         return Decision(HandshakeEvent.UNFIT, f"not fit to fly ({now.unfit}): {FAULTS[now.unfit].what}")
-    if wrong := _too_slow(now) or config.carried(view):
+    if wrong := _too_slow(now) or config.misplaced(view):
         return Decision(HandshakeEvent.UNFIT, wrong)
     in_state_s = _in_state_s(now, now_us)
     if not config.arm or in_state_s < config.stream_before_offboard_s:

@@ -21,7 +21,7 @@ from flightstack.cli.result import FlightResult, LoopTiming
 from flightstack.cli.score import FlightScore
 from flightstack.cli.set_params import VehicleLink, parameters_set
 from flightstack.cli.vehicle_gains import ask_gains, changed, counted_on
-from flightstack.cli.vehicle_site import ask_vehicle, carried
+from flightstack.cli.vehicle_site import ask_vehicle, carried, unknowing
 from flightstack.scenario import Scenario
 from flightstack.types import InputError
 from flightstack_logs.log_clock import LogClock, clock_metadata
@@ -180,6 +180,8 @@ def companion_of(
     inspector = Inspector(
         prepared, believe_file=options.believe_file, dry_run=options.dry_run, dead_man=options.dead_man
     )
+    sensors, site = options.grade(prepared.scenario), prepared.protection.site
+    bounds = None if site is None else site.estimate
     config = CompanionConfig(
         arm=options.arm,
         dry_run=options.dry_run,
@@ -188,11 +190,11 @@ def companion_of(
         dead_man=options.dead_man,
         round_trip_max_s=prepared.protection.round_trip_max_s,
         counted=counted_on(prepared.believed) if prepared.protection.filter.enabled else {},
-        carried=lambda view: carried(view, options.where),
+        misplaced=lambda view: carried(view, options.where) or unknowing(view, bounds, sensors),
     )
     companion = Companion(link, prepared.stack, prepared.scenario, observer, config, inspector)
     inspector.attach(companion)
-    inspector.gate = _heed(prepared.protection, options.grade(prepared.scenario), companion)
+    inspector.gate = _heed(prepared.protection, sensors, companion)
     return companion, inspector, config
 
 
@@ -232,10 +234,13 @@ def _result(
 
 def _heed(protection: Protection, sensors: str, companion: Companion) -> EstimateGate | None:
     """From now on the vehicle's own words decide whether anything is certified; None where nothing would be."""
-    if protection.estimate is None or protection.watched is None:
+    bounds = protection.estimate if protection.site is None else protection.site.estimate
+    if bounds is None:
         return None
-    gate = EstimateGate(protection.estimate, sensors, say)
-    gate.companion, protection.watched.contradicted = companion, gate
+    gate = EstimateGate(bounds, sensors, say)
+    gate.companion = companion
+    if protection.watched is not None:
+        protection.watched.contradicted = gate
     return gate
 
 

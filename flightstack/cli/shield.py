@@ -29,7 +29,7 @@ from flightstack.cli.shield_router import ShieldRouter
 from flightstack.cli.site import envelope, given_prior, load_site, plan_site
 from flightstack.cli.site_change import SiteChanges
 from flightstack.cli.vehicle_gains import ask_gains, changed, tuned
-from flightstack.cli.vehicle_site import ask_vehicle
+from flightstack.cli.vehicle_site import ask_vehicle, unknowing
 from flightstack.governor import Governor
 from flightstack.model import Model
 from flightstack.site.certificate import require_same
@@ -118,7 +118,8 @@ def shield(
     stack, relay, refiner = shield_stack(options, place, gains)
     frequent.prepare()
     warm_up(stack, files.load_scenario(_SCENARIO)[0])
-    router = ShieldRouter(stack, relay, refiner, place)
+    bounds = estimate_bounds(error_statistics(load_grade(options.sensors)))
+    router = ShieldRouter(stack, relay, refiner, place, lambda view: unknowing(view, bounds, options.sensors))
     began_us = monotonic_us()
     with ExitStack() as opened:
         opened.enter_context(undisturbed(real_time=True))

@@ -16,6 +16,7 @@ A vehicle that restarts ends it (`ended`): its local frame, so the site's place,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,9 +81,15 @@ class ShieldRouter:
     """One vehicle and one program."""
 
     def __init__(
-        self, stack: Stack, relay: Relay, refiner: StateObserver | None, place: tuple[float, float] | None = None
+        self,
+        stack: Stack,
+        relay: Relay,
+        refiner: StateObserver | None,
+        place: tuple[float, float] | None = None,
+        unknowing: Callable[[VehicleView], str] = lambda view: "",
     ) -> None:
-        """`place`: latitude and longitude round which a site on the globe was laid out; None: it is none."""
+        """`place`: latitude and longitude round which a site on the globe was laid out; None: it is none.  `unknowing`:
+        what the vehicle says against the sensors that the margins are for; before it is armed that ends the router."""
         self.link, self.view, self.score = Link(240, 191), VehicleView(), ShieldScore()
         self.system = 0
         self.record: TickRecord | None = None
@@ -90,6 +97,7 @@ class ShieldRouter:
         self.origin_ned_m: F64 | None = None
         """Where the vehicle was armed first: the site stays where it is when the program lands and takes off again."""
         self._stack, self._relay, self._refiner, self._asked_place = stack, relay, refiner, place
+        self._unknowing = unknowing
         self._commands, self._voice = CommandQueue(self.link), Voice(self.link)
         self._state: StackState | None = None
         self._wish: ControlSetpoint | None = None
@@ -309,6 +317,7 @@ class ShieldRouter:
         self._voice.thrust_model_factor = self._relay.thrust_model_factor = factor
         grounded = self.view.on_ground
         if grounded and not self.view.armed and not self._is_laid:
+            self.ended = self.ended or self._unknowing(self.view)
             self._rested = min(self._rested + 1, _RESTED)
             self._rest += (measurement.pos_ned_m - self._rest) / self._rested
             self.origin_ned_m = self._origin(self._rest)

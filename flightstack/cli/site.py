@@ -164,6 +164,8 @@ class SitePlan:
     certificate: StoppingCertificate
     chutes: F64
     chute_m: float
+    estimate: EstimateBounds
+    """How far the vehicle's estimate may be off."""
     prior: StoppingCertificate | None = None
     """What is kept to once the certificate was falsified; None: the certificate is the prior's."""
 
@@ -290,7 +292,7 @@ def plan_site(
     if scenario is None:
         start = np.zeros((1, 2))
         _require_clear(site, packed(site, start, chute_m), np.zeros(3), (kept, 0.0), "the start")
-        return SitePlan(site, certificate, start, chute_m, wider)
+        return SitePlan(site, certificate, start, chute_m, estimate, wider)
     mission = plan(scenario, np.zeros(3))
     landing = mission.reference(mission.track_end_s + 60.0).pos_ned_m
     chutes = np.array([[0.0, 0.0], landing[:2]])
@@ -301,7 +303,7 @@ def plan_site(
         place = mission.reference(t_s).pos_ned_m
         _require_clear(site, flat, place, (kept, half), f"the way to the track, {t_s:.1f} s after take-off,")
     _require_clear(site, flat, landing, (kept, half), "the landing place")
-    return SitePlan(site, certificate, chutes, chute_m, wider)
+    return SitePlan(site, certificate, chutes, chute_m, estimate, wider)
 
 
 def _wider(

@@ -8,6 +8,9 @@ import tempfile
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
+
+from flightstack.barrier.estimate_bounds import EstimateBounds, contradiction
 from flightstack.cli.site import read_site
 from flightstack.geodesy import LocalFrame
 from flightstack.types import InputError
@@ -91,6 +94,14 @@ def carried(view: VehicleView, laid_round: tuple[float, float] | None) -> str:
     return (
         f"the vehicle was carried {away_m:.1f} m since its site was laid out; start anew" if away_m > CARRIED_M else ""
     )
+
+
+def unknowing(view: VehicleView, bounds: EstimateBounds | None, sensors: str) -> str:
+    """What a vehicle on the ground says of itself against the sensors that its site's margins are for, one line."""
+    if bounds is None or view.armed:
+        return ""
+    said = contradiction(bounds, sensors, view.accuracy_m, np.zeros(3))
+    return said and f"{said}; name the sensors that it has with --sensors"
 
 
 def as_plan(shapes: tuple[Shape, ...]) -> str:

@@ -110,7 +110,7 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.STREAMING, {}, {"rival": "another companion"}, 0.1, E.FOREIGN),
     (State.STREAMING, {}, {"foreign_system": 2}, 0.1, E.FOREIGN),
     (State.STREAMING, {"round_trip_us": 40_001}, {}, 0.1, E.UNFIT),
-    (State.STREAMING, {}, {"config": replace(CONFIG, carried=lambda view: "carried 30 m")}, 0.1, E.UNFIT),
+    (State.STREAMING, {}, {"config": replace(CONFIG, misplaced=lambda view: "carried 30 m")}, 0.1, E.UNFIT),
     (State.STREAMING, {"params": SimpleNamespace(settled=True, values=WRONG, missing=())}, {}, 0.1, None),
     (State.STREAMING, {"params": SimpleNamespace(settled=True, values=WRONG, missing=())},
      {"parameters_changed": True}, 0.1, E.UNFIT),

@@ -10,12 +10,19 @@ import numpy as np
 import pytest
 from shield_rig import NAN, SITE, Rig, attitude, inside, position, rates, velocity
 
+from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.cli import files
+from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield import ShieldOptions, shield_stack
 from flightstack.cli.shield_router import ShieldRouter
+from flightstack.cli.vehicle_site import unknowing
 from flightstack.geodesy import PX4_SIH
 from flightstack.site.file import parse_site
 from flightstack.site.shape import Site
+from flightstack_sim.grade import load_grade
+from flightstack_sim.server import Server
+from flightstack_sim.simulated_vehicle import simulated_vehicle
+from flightstack_sim.streams import LinkKind
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.dead_man_frames import ACTIVE, IN_OFFBOARD, NOBODY
@@ -317,3 +324,17 @@ def test_a_site_without_room_is_not_taken_and_none_before_the_vehicle_is_known(r
     assert "clear of its edge" in rig.router.replace_site(beside)
     rig.run(1.0)
     assert rig.router.score.sites_replaced == 0
+
+
+def test_a_vehicle_that_knows_less_than_the_margins_count_on_ends_it_before_it_is_armed(site: Path) -> None:
+    """With GPS the shield of a user who left out `--sensors` kept the margins of mocap, and said nothing."""
+    rig = Rig(site)
+    rig.vehicle = simulated_vehicle(rig.believed, rig.believed, load_grade("gps"), seed=0)
+    rig.server = Server(rig.vehicle, links=(LinkKind.ONBOARD,))
+    bounds = estimate_bounds(error_statistics(load_grade("mocap")))
+    made = shield_stack(ShieldOptions(connect="udpin::1", serve="udpin::2", site=site), None)
+    rig.router = ShieldRouter(*made, None, lambda view: unknowing(view, bounds, "mocap"))
+    rig.say = lambda: position(0.0, 0.0, -2.0)
+    rig.run(3.0)
+    assert rig.router.ended.startswith("the vehicle says that it knows its position")
+    assert not rig.router.flies
