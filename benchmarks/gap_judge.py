@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from flightstack.effects import EFFECTS
+from flightstack.gap.decisions import GAP_FROM
 from flightstack.gap.simulate import value
+from flightstack.gap.verdict import ONE_STEP
 from flightstack.vehicle import Vehicle
 
 Row = dict[str, Any]
@@ -37,7 +40,10 @@ def judge(answer: dict[str, Any], said: dict[str, Any], believed: Vehicle) -> Ro
         )
     covered = {each["name"] for each in names} | {twin for each in names for twin in each["twins"]}
     rest = said["unexplained"]
+    silent = bool(hidden or answer["outside"]) and not names and not rest["significant"]
     return {
+        "silent": silent,
+        "floors": max(_floors(said["gap"]), default=1.0),
         "hidden": sorted(hidden),
         "outside": answer["outside"],
         "rich": answer["rich"],
@@ -49,6 +55,14 @@ def judge(answer: dict[str, Any], said: dict[str, Any], believed: Vehicle) -> Ro
         "depends_on": rest["depends_on"],
         "fraction": rest["fraction"],
     }
+
+
+def _floors(gap: dict[str, Any]) -> Iterator[float]:
+    """Held-out figures of one step with the model as it was, in noise floors."""
+    for name in ONE_STEP:
+        was, least = gap.get("before", {}).get(name), gap.get("noise_floor", {}).get(name)
+        if was is not None and least:
+            yield was / least
 
 
 def _parameters(effect: dict[str, Any], hidden: dict[str, float], believed: Vehicle) -> dict[str, Any]:
@@ -113,6 +127,9 @@ def summary(rows: list[Row]) -> dict[str, Any]:
         "outside_unnamed": _share([not row["names"] for row in outside]),
         "outside_noticed": _share([row["unexplained"] for row in outside]),
         "outside_driver": _share([row["driver"] for row in outside if row["unexplained"]]),
+        "silent": sum(row["silent"] for row in judged),
+        "silent_gaps": sum(row["silent"] and row["floors"] >= GAP_FROM for row in judged),
+        "silent_most": max((row["floors"] for row in judged if row["silent"]), default=None),
     }
 
 

@@ -14,12 +14,12 @@ import numpy as np
 from flightstack.effects import EFFECTS
 from flightstack.gap.chances import chi2_tail
 from flightstack.gap.classes import alternatives, splitting_manoeuvre
-from flightstack.gap.decisions import CLEAR_EVIDENCE, LEAST_SIZES, NAME_EVIDENCE, NAME_P
+from flightstack.gap.decisions import ALIKE_EVIDENCE, CLEAR_EVIDENCE, LEAST_SIZES, NAME_EVIDENCE, NAME_P
 from flightstack.gap.naming.candidates import negligible, plausible, trifle
 from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.in_file import in_proportion, joined
-from flightstack.gap.naming.search import Fit, SelectionState, judged_fit, members, move_to
+from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, judged_fit, members, move_to
 from flightstack.gap.records import Estimate, IdentifiedEffect
 from flightstack.gap.simulate import FreeParameter, value
 from flightstack.types import F64
@@ -53,6 +53,8 @@ def pruned(state: SelectionState) -> Fit:
     if state.fits[key].vehicle is not state.point.vehicle:
         move_to(state, state.fits[key].vehicle)
     best = _without_the_thin(state, state.fits[key])
+    if len(best.effects) < len(key):
+        best = _as_good_and_whole(state, key) or best
     fuller = joined(state, best)
     if fuller is best:
         return best
@@ -61,10 +63,35 @@ def pruned(state: SelectionState) -> Fit:
     fuller = judged_fit(state, fuller.effects, fuller.vehicle, state.point.rest, fuller.used)
     kept = _without_the_thin(state, fuller)
     if kept is not fuller:
-        state.point, state.metric, state.fits, state.rope_m = before.point, before.metric, before.fits, before.rope_m
+        _put_back(state, before)
         return best
     spared = [evidence(state, kept, e) - _evidence_in_full(state, kept, e) for e in kept.effects]
     return replace(kept, score=kept.score - max(spared))
+
+
+def _as_good_and_whole(state: SelectionState, best_key: frozenset[str]) -> Fit | None:
+    """Of other fits as good as the best and of as many names, the first of which all stay; None where there is none.
+
+    Mass and inertia both a third too large are a thrust too small beside an inertia that is hardly off, which is too
+    thin to be named: the thrust alone would then stand for both.  Which of the two fits is the better is chance.
+    """
+    most = state.fits[best_key].score + ALIKE_EVIDENCE
+    others = [(k, f) for k, f in state.fits.items() if k != best_key and len(k) == len(best_key) and f.score < most]
+    before = replace(state, fits=dict(state.fits))
+    for _, fit in sorted(others, key=lambda other: other[1].score):
+        if state.excluded & set(fit.effects) or effects_at_bound(state.start, fit, state.rope_most_m):
+            continue
+        move_to(state, fit.vehicle)
+        whole = judged_fit(state, fit.effects, fit.vehicle, state.point.rest, fit.used)
+        if _without_the_thin(state, whole) is whole:
+            return whole
+        _put_back(state, before)
+    return None
+
+
+def _put_back(state: SelectionState, before: SelectionState) -> None:
+    """The state as it was before columns and fits were taken anew elsewhere."""
+    state.point, state.metric, state.fits, state.rope_m = before.point, before.metric, before.fits, before.rope_m
 
 
 def _without_the_thin(state: SelectionState, best: Fit) -> Fit:

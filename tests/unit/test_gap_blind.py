@@ -230,12 +230,30 @@ def test_the_summary_counts_what_its_words_say() -> None:
     assert figures["outside_unnamed"] == 0.5
     assert figures["outside_noticed"] == 0.5
     assert figures["outside_driver"] == 1.0
+    assert (figures["silent"], figures["silent_gaps"]) == (1, 0)
     lines = {line["hidden"]: line for line in confusion(rows)}
     assert lines["payload"] == {
         "hidden": "payload", "cases": 3, "exact": 1, "class": 1, "missed": 1, "wrong": {}, "unexplained": 0,
         "error": pytest.approx(0.0), "coverage": 1.0,
     }  # fmt: skip
     assert lines["nothing"]["wrong"] == {"inertia": 1}
+
+
+def test_a_silent_verdict_counts_and_is_wrong_where_a_held_out_figure_is_far_above_its_floor() -> None:
+    def silent(answer: dict, force: float, turning: float | None) -> dict:
+        gap = {"before": {"one_step_mps2": force, "one_step_radps2": turning}, "closed": None}
+        gap["noise_floor"] = {"one_step_mps2": 0.1, "one_step_radps2": 1.0}
+        return judge(answer, {**said(), "gap": gap}, QUAD)
+
+    told = judge(TETHER, said(unexplained=True), QUAD)
+    quiet = [silent(ANSWER, 0.1, 1.19), told, silent(CLEAN, 0.3, 3.0), silent(TETHER, 0.11, None)]
+    figures = summary(quiet)
+    assert (figures["silent"], figures["silent_gaps"], figures["silent_most"]) == (2, 0, 1.19)
+    wrong = [*quiet, silent(TETHER, 0.12, 1.0)]
+    assert (summary(wrong)["silent"], summary(wrong)["silent_gaps"]) == (3, 1)
+    page = tables(wrong, [{"version": "1 abc", "timing": {"wall_s": 2.0}}], "make gap-blind")
+    assert "1.20 floors) | 3 | |" in page
+    assert "at 1.2 floors or more | 1 **missed** | 0 |" in page
 
 
 def test_the_tables_go_between_their_marks_and_leave_the_page_alone(tmp_path: Path) -> None:
