@@ -26,6 +26,7 @@ from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
 from flightstack.cli.shield_frames import is_mavlink
 from flightstack.cli.shield_router import ShieldRouter
+from flightstack.cli.shield_words import ShieldWords
 from flightstack.cli.site import envelope, given_prior, load_site, plan_site
 from flightstack.cli.site_change import SiteChanges
 from flightstack.cli.vehicle_gains import ask_gains, changed, tuned
@@ -151,6 +152,7 @@ def _route(
     vehicle, program = links
     latencies: list[float] = []
     next_us, ends_us, told = monotonic_us(), 0, False
+    words = ShieldWords()
     heard_us = next_us
     while True:
         select([vehicle.fileno(), program.fileno()], [], [], max(next_us - monotonic_us(), 0) * 1e-6)
@@ -176,11 +178,16 @@ def _route(
             return latencies
         if is_to_end():
             ends_us = ends_us or now_us + _HAND_OVER_US
-            if router.hand_over(now_us) or now_us > ends_us:
+            if router.hand_over(now_us):
+                return latencies
+            if now_us > ends_us:
+                say(f"the vehicle did not take Hold within {1e-6 * _HAND_OVER_US:g} s: left to its own failsafe")
                 return latencies
         if (change := changes.take()) is not None:
             refused = change if isinstance(change, str) else router.replace_site(change)
             say(f"the site is not replaced: {refused}" if refused else "the site is replaced")
+        for line in words.look(router, now_us):
+            say(line)
         dead_man.hear()
         if dead_man.ended and not told:
             told = True

@@ -122,7 +122,7 @@ class ShieldRouter:
         self._newest_us = self._back = 0
         self._retaking_us = -1
         """Since when OFFBOARD is being taken back; -1: it is not."""
-        self._flies = self._is_certain = self._is_laid = False
+        self._flies = self._is_certain = self._is_laid = self._asks_hold = False
         """Certain: a way out was committed since the stack began to fly.  Laid: the site no longer moves."""
 
     def replace_site(self, site: Site) -> str:
@@ -233,7 +233,7 @@ class ShieldRouter:
         return False
 
     def _ask_for_hold(self, now_us: int) -> None:
-        self.score.handed_over = True
+        self._asks_hold = True
         if self._commands.ensure(set_mode(px4.MODE_HOLD), now_us) and self._measurement is not None:
             self._voice.stay(self._t_us, self._carrying_norm(), self._measurement.q_ned_frd)
 
@@ -326,6 +326,7 @@ class ShieldRouter:
             return
         silent = self._wish is None or now_us - self._wish_us > SILENT_US
         if not (self.view.armed and self.view.in_offboard) or (silent and grounded):
+            self.score.handed_over |= self._asks_hold and self.view.custom_mode == px4.MODE_HOLD
             self._state, self._flies = self._state if self.view.armed else None, False
             if not silent:
                 self._stand_by(measurement, t_us)
@@ -377,7 +378,7 @@ class ShieldRouter:
             if now_us - self._obeyed_us > HOLDS_US:
                 self._ask_for_hold(now_us)
         else:
-            self._hold, self._obeyed_us = None, now_us
+            self._hold, self._obeyed_us, self._asks_hold = None, now_us, False
             self._relay.wish, reference = wish, reference_of(wish, measurement)
         self._relay.gain = gain_of(state.filter)
         self._state, command, self.record = self._stack.tick(state, measurement, reference, t_us)
