@@ -15,7 +15,13 @@ from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.classes import confused_with, doubled, without_motors
 from flightstack.gap.decisions import HALF, MOSTLY, TENTH
-from flightstack.gap.held import fails_holdout, far_from_noise, interval_contains_nominal, surrogate_terms
+from flightstack.gap.held import (
+    fails_holdout,
+    far_from_noise,
+    interval_contains_nominal,
+    surrogate_terms,
+    told_by_signals,
+)
 from flightstack.gap.likeness import vehicle_mismatch
 from flightstack.gap.name import EVERYWHERE, Selection, name
 from flightstack.gap.naming.estimate import fills
@@ -47,8 +53,9 @@ def concluded(
         naming, of, gap = _judged(vehicle, naming, taken, on_progress)
     naming, of, gap = _without_loop_noise(vehicle, naming, of, gap, [s.command_late_s for s in taken.flights])
     naming, of, gap = _same_in_each(vehicle, naming, of, gap)
+    felt = told_by_signals(vehicle, naming.found, of)
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < HALF)):
-        gone = {f.name for f in naming.found} - (set() if _is_worse(gap) else confirmed(naming.across))
+        gone = {f.name for f in naming.found} - (set() if _is_worse(gap) else confirmed(naming.across) | felt)
         naming = naming.without(gone, "leaves most of the gap as it was") if gone else naming
         gap = held_out_gap(vehicle, naming, of)
     carried = naming.with_guessed_numbers()
@@ -65,7 +72,8 @@ def concluded(
         if not naming.unexplained.significant:
             naming = naming.with_unexplained(1.0 - gap.closed)  # it may have acted on held-out data only
         here = naming.unexplained.depends_on[:1] == ("position",)
-        gone = {f.name for f in naming.found if (here and f.name in EVERYWHERE) or _is_worse(gap, 1.0)}
+        worse = _is_worse(gap, 1.0)
+        gone = {f.name for f in naming.found if (here and f.name in EVERYWHERE) or worse} - felt
         if gone:
             naming = naming.without(gone, "what it explains depends on something else as well")
             gap = held_out_gap(vehicle, naming, of)

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flightstack.effects import EFFECTS
 from flightstack.gap.compare import residual
-from flightstack.gap.decisions import CLEAR_SHARE, FICKLE_P, HALF, SURE_ERRORS
+from flightstack.gap.decisions import CLEAR_SHARE, CLEARLY, FICKLE_P, HALF, SURE_ERRORS
 from flightstack.gap.naming.candidates import at_end
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Gap, IdentifiedEffect
@@ -29,6 +30,8 @@ from flightstack.vehicle import Vehicle
 
 _BLOCK_S = 1.0
 _FEWEST_BLOCKS = 4
+KINEMATIC = ((6, 7, 8), (9, 10, 11))
+"""Columns in which no physics acts: the gyro against the attitude, the accelerometer against the velocity."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,38 @@ def fails_holdout(
         return ()
     others = {each.name: corrected(believed, [f for f in found if f is not each]) for each in found}
     return tuple(name for name, without in others.items() if not slope(without, whole, of).holds(beside=beside))
+
+
+def told_by_signals(believed: Vehicle, found: Sequence[IdentifiedEffect], of: FitHoldoutSplit) -> set[str]:
+    """Named errors of sensors that held-out data show in what their signals say of one another.
+
+    There no physics acts, and no gust: what they leave of the force says nothing against such a name.
+    """
+    whole = corrected(believed, found)
+    return {
+        f.name
+        for f in found
+        if EFFECTS[f.name].kind == "sensor"
+        and any(
+            _falls(corrected(believed, [g for g in found if g is not f]), whole, of, columns) for columns in KINEMATIC
+        )
+    }
+
+
+def _falls(without: Vehicle, whole: Vehicle, of: FitHoldoutSplit, columns: tuple[int, ...]) -> bool:
+    """Whether the mean square of these columns falls clearly, and surely over seconds."""
+    changes, left = [], 0.0
+    for samples, mask in zip(of.flights, of.holdout, strict=True):
+        pairs = [np.nan_to_num(residual(v, samples).y[mask][:, columns]) for v in (without, whole)]
+        size = max(1, round(_BLOCK_S / samples.dt_s))
+        was, now = (np.sum(y**2, axis=1)[: len(y) // size * size].reshape(-1, size).sum(axis=1) for y in pairs)
+        changes.append(was - now)
+        left += float(now.sum())
+    seconds = np.concatenate(changes)
+    if len(seconds) < _FEWEST_BLOCKS:
+        return False
+    fall, error = float(seconds.sum()), float(np.std(seconds, ddof=1)) * math.sqrt(len(seconds))
+    return fall > SURE_ERRORS * error and fall >= CLEARLY * left
 
 
 def interval_contains_nominal(found: Sequence[IdentifiedEffect]) -> tuple[str, ...]:

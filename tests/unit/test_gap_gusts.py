@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.gap_cases import make, write
 from flightstack.gap import blown as blown_module
 from flightstack.gap import pooled
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.gusts import gusts
-from flightstack.gap.held import corrected
+from flightstack.gap.held import corrected, told_by_signals
 from flightstack.gap.name import Selection, name
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Estimate, Gap, IdentifiedEffect, Samples
 from flightstack.gap.simulate import free_parameters
 from flightstack.gap.verdict import gap_of, unexplained
+from flightstack.gap.workflow import analyse
 from flightstack.vehicle import Vehicle
 from tests import gap_batch as batch
 from tests.gap_hidden import HIDDEN, believed
+from tests.thorough import ONLY_THEN
 
 KINDS = ("", "turbulence", "constant_force")
 
@@ -97,6 +101,31 @@ def test_what_only_the_signals_themselves_show_is_no_trifle_beside_gusts() -> No
     said = name(believed(), of.flights, of.fit, of.holdout)
     assert set(hidden) <= {f.name for f in said.found}
     assert not set(said.trifles()) & set(hidden)
+
+
+@ONLY_THEN
+def test_an_accelerometers_bias_shows_in_its_signals_whatever_gusts_leave_of_the_force() -> None:
+    hidden = {"accelerometer_bias": HIDDEN["accelerometer_bias"], "turbulence": {"sigma_mps": 2.5, "length_m": 30.0}}
+    clean, flown = batch.fly(believed(), [{"turbulence": hidden["turbulence"]}, hidden], seed=44_000)
+    bias = {p: Estimate(0.0, x, x - 0.01, x + 0.01) for p, x in hidden["accelerometer_bias"].items()}
+    load = {"mass_kg": Estimate(0.0, 0.1, 0.09, 0.11)}
+    found = [
+        IdentifiedEffect(name, told, -100.0, 0.9, 1e-9)
+        for name, told in (("accelerometer_bias", bias), ("payload", load))
+    ]
+    assert told_by_signals(believed(), found, pooled.split([flown], [])) == {"accelerometer_bias"}
+    assert told_by_signals(believed(), found, pooled.split([clean], [])) == set()
+
+
+def test_what_the_signals_show_stays_named_where_gusts_leave_most_of_the_gap(tmp_path: Path) -> None:
+    """0.29, -0.32, -0.23 m/s^2 were found exactly and taken back, for gusts of 1.8 m/s^2 were there as well."""
+    case = make("three", 5050120)
+    log, _, _ = write(case, tmp_path, "case", "mcap")
+    said = analyse([log], case.believed)
+    named = {f.name: f.parameters for f in said.found}
+    assert set(named) == {"accelerometer_bias", "turbulence"}
+    for parameter, true in case.answer.effects["accelerometer_bias"].items():
+        assert named["accelerometer_bias"][parameter].estimate == pytest.approx(true, abs=0.01)
 
 
 def test_beside_gusts_no_steady_wind_goes_through_the_ground(
