@@ -327,7 +327,7 @@ def test_too_many_missed_ticks_hand_back_to_hold() -> None:
 
 @pytest.mark.parametrize(("swing_rad", "ends"), [(0.35, False), (0.9, True)])
 def test_a_vehicle_that_swings_instead_of_turning_as_told_lands(swing_rad: float, ends: bool) -> None:
-    """Rolling to and fro at 1 Hz, whatever it is told (level, nearly): rms 0.25 and 0.64 rad; 0.4 counts."""
+    """Rolling to and fro at 1 Hz, whatever it is sent (back, by up to its limits): 0.4 rad (rms) counts."""
     companion, notes, vehicle, start = flying()
 
     def alter(message: Any) -> Any:
