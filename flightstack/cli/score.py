@@ -148,7 +148,8 @@ class FlightScore:
         most_m = most_rms_m(self.tracking.of, prepared.settings.get("sensors", ""))
         flown = Flown(first_height_m(prepared.scenario), self.ascent.rose_m, self.ascent.touchdown_mps, most_m)
         asked, exits = prepared.protection.asked and completed is not None, self.site.exits if self.site else None
-        reason = companion.reason or (flown.shortcoming(tracking["rmse_m"]) if completed else "")
+        stopped = self.site.stopped_share if self.site else 0.0
+        reason = companion.reason or (flown.shortcoming(tracking["rmse_m"], stopped) if completed else "")
         result = FlightResult(
             scenario=prepared.scenario.name,
             seed=seed,

@@ -21,7 +21,7 @@ from flightstack.mission import plan
 from flightstack.model import Limits, Model
 from flightstack.scenario import Scenario
 from flightstack.site import bend as bending
-from flightstack.site import decide
+from flightstack.site import decide, slide
 from flightstack.site.certificate import prior_of
 from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.file import MOST_BYTES, parse_site
@@ -32,6 +32,10 @@ from flightstack.types import F64, Command, Filtered, FlatOutput, InputError, Le
 from flightstack.vehicle import Vehicle
 
 _CHUTE_ROOM_M = 1.0
+_ACROSS_M = 0.5
+"""A track that strays no farther from its start stays in the chute."""
+_NOISE_MPS2 = 2.0
+"""How hard a controller pushes down for what the estimate is off by, at most (measured with px4-sih-ekf)."""
 _ENVELOPE_M = 15.0
 _JOINING_S = 0.1
 _DRAWN_EDGES = 24
@@ -103,6 +107,9 @@ class SiteScore:
     bent: list[dict[str, Any]] = field(default_factory=list)
     is_narrow: bool = False
     """The certificate is narrower than the prior, and may be falsified."""
+    raised_m: float = 0.0
+    """By so much higher than asked for the whole flight is flown."""
+    _last_s: float = 0.0
     clearance_m: float = math.inf
     """Of the vehicle at the last tick."""
     _bending: bool = False
@@ -114,6 +121,7 @@ class SiteScore:
             return
         numbers = self.filter.numbers
         self.ticks += 1
+        self._last_s = flight_s
         kept = bool(numbers[decide.KEPT] > 0.0)
         self.changed += record.filtered.intervened == 1.0
         self.governed += record.governed
@@ -142,17 +150,23 @@ class SiteScore:
                 self.outside_first = f"{edge_name(self.site, edge)} {flight_s:.2f} s after take-off"
             self.exits += 1
 
+    @property
+    def stopped_share(self) -> float:
+        """Of the ticks: those in which the way out was followed."""
+        return self.kept / self.ticks if self.ticks else 0.0
+
     def summary(self) -> dict[str, Any]:
         """What the JSON's `barrier` gains."""
         share = 1.0 / self.ticks if self.ticks else 0.0
+        floor = {"from_s": 0.0, "to_s": self._last_s, "edge": "floor", "raised_m": self.raised_m}
         return {
             "site": self.site.source,
             "exits": self.exits,
             "changed_share": self.changed * share,
             "governor_share": self.governed * share,
-            "stopped_share": self.kept * share,
+            "stopped_share": self.stopped_share,
             "premises_broken": self.broken,
-            "bent": self.bent,
+            "bent": [floor, *self.bent] if self.raised_m else self.bent,
         }
 
 
@@ -168,6 +182,9 @@ class SitePlan:
     """How far the vehicle's estimate may be off."""
     prior: StoppingCertificate | None = None
     """What is kept to once the certificate was falsified; None: the certificate is the prior's."""
+    raised_m: float = 0.0
+    """By so much higher than asked for the scenario is flown: it lies lower than the vehicle can stop above the
+    floor."""
 
     def filter(self, model: Model, limits: Limits) -> TimedSiteFilter:
         """The filter."""
@@ -178,7 +195,7 @@ class SitePlan:
     def score(self, timed: TimedSiteFilter) -> SiteScore:
         """A score; without a margin, but for the ground under the chutes."""
         flat = packed(self.site, self.chutes, self.chute_m)
-        return SiteScore(self.site, flat, timed, is_narrow=self.prior is not None)
+        return SiteScore(self.site, flat, timed, is_narrow=self.prior is not None, raised_m=self.raised_m)
 
     @property
     def outlines(self) -> str:
@@ -202,10 +219,11 @@ class SitePlan:
     def words(self) -> str:
         """One line."""
         made, prior = self.certificate, self.certificate.prior
+        raised = f", flown {self.raised_m:.2f} m higher to stop above the floor" if self.raised_m else ""
         return (
             f"site {self.site.source}, stopping certificate (mass {prior.mass_low:g} to "
             f"{prior.mass_high:g}, {prior.force_g:g} g): {made.radius_m:.2f} m at rest, "
-            f"{made.stopping_way_m(3.0):.1f} m from 3 m/s"
+            f"{made.stopping_way_m(3.0):.1f} m from 3 m/s{raised}"
         )
 
 
@@ -293,7 +311,8 @@ def plan_site(
         start = np.zeros((1, 2))
         _require_clear(site, packed(site, start, chute_m), np.zeros(3), (kept, 0.0), "the start")
         return SitePlan(site, certificate, start, chute_m, estimate, wider)
-    mission = plan(scenario, np.zeros(3))
+    raised_m = _raised_m(scenario, site, low_m(certificate, estimate.vel_mps[2]))
+    mission = plan(raised(scenario, raised_m), np.zeros(3))
     landing = mission.reference(mission.track_end_s + 60.0).pos_ned_m
     chutes = np.array([[0.0, 0.0], landing[:2]])
     flat = packed(site, chutes, chute_m)
@@ -303,7 +322,36 @@ def plan_site(
         place = mission.reference(t_s).pos_ned_m
         _require_clear(site, flat, place, (kept, half), f"the way to the track, {t_s:.1f} s after take-off,")
     _require_clear(site, flat, landing, (kept, half), "the landing place")
-    return SitePlan(site, certificate, chutes, chute_m, estimate, wider)
+    return SitePlan(site, certificate, chutes, chute_m, estimate, wider, raised_m)
+
+
+def low_m(certificate: StoppingCertificate, vel_mps: float) -> float:
+    """How far above the floor nothing that a controller asks for is slid along it, where the estimate's vertical
+    velocity is off by `vel_mps`: the bound of `slide` for a push down."""
+    s = certificate.soft[certificate.row_of(1.0)]
+    lag_s = s[slide.SLOW_S] + vel_mps / s[slide.UP]
+    slid_m = (lag_s * _NOISE_MPS2 - vel_mps) / s[slide.GAMMA]
+    return float(s[slide.HALF] + s[slide.SLOW_S] * vel_mps + 0.5 * vel_mps**2 / s[slide.UP] + max(slid_m, 0.0))
+
+
+def _raised_m(scenario: Scenario, site: Site, room_m: float) -> float:
+    """By how much higher a track is to be flown so that it begins above the chute, as far as the ceiling lets it be.
+
+    In the chute the floor does not bind: a track that never left it would be flown with nothing kept clear below.
+    """
+    times_s = np.arange(0.0, scenario.duration_s, _JOINING_S)
+    track = np.stack([scenario.trajectory.at(t_s).pos_ned_m for t_s in times_s.tolist()])
+    if np.hypot(track[:, 0], track[:, 1]).max() <= _ACROSS_M:
+        return 0.0
+    least_m, most_m = site.floor_m + room_m, site.ceiling_m - room_m
+    return float(max(min(least_m + track[0, 2], most_m + track[:, 2].min()), 0.0))
+
+
+def raised(scenario: Scenario, by_m: float) -> Scenario:
+    """The same scenario, flown so much higher."""
+    climb_to_m = None if scenario.climb_to_m is None else scenario.climb_to_m + by_m
+    trajectory = scenario.trajectory.moved(np.array([0.0, 0.0, -by_m]))
+    return replace(scenario, trajectory=trajectory, climb_to_m=climb_to_m) if by_m else scenario
 
 
 def _wider(
@@ -327,4 +375,4 @@ def _require_clear(site: Site, flat: F64, place: F64, size: tuple[float, float],
         )
 
 
-__all__ = ["SitePlan", "SiteScore", "TimedSiteFilter", "envelope", "load_site", "plan_site"]
+__all__ = ["SitePlan", "SiteScore", "TimedSiteFilter", "envelope", "load_site", "plan_site", "raised"]

@@ -68,6 +68,10 @@ class Ascent:
         return max((down for at_m, down in self._descent if rest_m - at_m <= _NEAR_GROUND_M), default=0.0)
 
 
+_MUCH_STOPPED = 0.05
+"""Of a flight's ticks: more is why it was not where it was asked to be."""
+
+
 @dataclass(frozen=True, slots=True)
 class Flown:
     """The figures that say whether a flight was flown."""
@@ -78,15 +82,24 @@ class Flown:
     touchdown_mps: float | None
     most_rms_m: float
 
-    def shortcoming(self, rmse_m: float | None) -> str:
-        """Why a flight that came to its end was not flown, one line; empty where it was."""
+    def shortcoming(self, rmse_m: float | None, stopped_share: float = 0.0) -> str:
+        """Why a flight that came to its end was not flown, one line; empty where it was.
+
+        `stopped_share`: of the ticks in which a site's filter followed its way out.
+        """
         wanted_m = LEAST_RISE * self.first_height_m
         if self.rose_m is None or not self.rose_m >= wanted_m:
             return never_flew(self.rose_m, self.first_height_m)
         if rmse_m is None:
             return "nothing of what was asked was flown: no tick of the track was scored"
         if not rmse_m <= self.most_rms_m:
-            return f"did not fly what was asked: {rmse_m:.2f} m rms from it, at most {self.most_rms_m:g} m counts"
+            said = f"did not fly what was asked: {rmse_m:.2f} m rms from it, at most {self.most_rms_m:g} m counts"
+            if stopped_share < _MUCH_STOPPED:
+                return said
+            share = f"{stopped_share:.0%}"
+            return (
+                f"{said}; the site's filter stopped it in {share} of the ticks: fly slower, or farther from its edges"
+            )
         if self.touchdown_mps is None:
             return "its touchdown was not seen"
         if not self.touchdown_mps <= MOST_TOUCHDOWN_MPS:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from flightstack.jit import njit, njit_called
-from flightstack.rows import VEL_D, VEL_E, VEL_N, WAY_HALF, WAY_RADIUS
+from flightstack.rows import WAY_HALF, WAY_RADIUS
 from flightstack.site import approach, slide
 from flightstack.site.clearance import JUMP_CODE, clear_of
 from flightstack.types import F64
@@ -20,7 +20,6 @@ from flightstack.types import F64
 BENT, KNOWN, EDGE, PLACE, SPEED, ACC, SIZE = 0, 1, 2, 3, 6, 9, 12
 """Of the memory: 1 while bent, 1 once a place is known; what is in the way; the place (3, NED), its velocity (3), its
 acceleration (3)."""
-_FASTER_MPS = 3.0
 _BACK_M, _BACK_MPS = 0.02, 0.1
 _LEAD_M = 0.15
 _JUMP_M = 0.3
@@ -116,12 +115,12 @@ def bend(n: F64, site: F64, s: F64, reference: F64, dt: float, rows: F64, way: F
     if n[BENT] == 0.0:
         n[EDGE] = edge
     n[BENT] = 1.0
-    fastest = math.sqrt(reference[VEL_N] ** 2 + reference[VEL_E] ** 2 + reference[VEL_D] ** 2) + _FASTER_MPS
-    approach.towards(way_of, reference[:3], reference[3:6], fastest, s[slide.LED_JERK], dt, v)
+    approach.towards(way_of, reference[:12], s[slide.LED_JERK], dt, v)
     slowed = _slowed(site, s, place, v, rows)
     if slowed != -3:
         n[EDGE] = slowed
-    approach.advance(way_of, v, s[slide.LED_JERK], dt)
+    own = min(math.sqrt(reference[9] ** 2 + reference[10] ** 2 + reference[11] ** 2), approach.JERK_MOST_MPS3)
+    approach.advance(way_of, v, s[slide.LED_JERK] + own, dt)
     _pushed(site, s, place, rows)
     for i in range(9):
         out[i] = way_of[i]

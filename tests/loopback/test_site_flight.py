@@ -19,6 +19,8 @@ from flightstack.cli.flight import FlyOptions, fly, prepare
 from flightstack.cli.home import parse_home
 from flightstack.cli.main import main
 from flightstack.cli.result import FlightResult
+from flightstack.site import backup as b
+from flightstack.site.clearance import clear_of, packed
 from flightstack.types import InputError
 from flightstack_logs.reader import read
 
@@ -86,6 +88,38 @@ def test_the_view_shows_the_site_and_a_way_to_a_stop_within_it(walled: FlightRes
     flown = read(Path(walled.log)).tables["/tick"]
     starts = np.array([way[0] for way in ways])[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
     assert max(np.linalg.norm(flown["pos_ned_m"] - start, axis=1).min() for start in starts) < 0.3
+
+
+@pytest.mark.parametrize(("sensors", "is_low"), [("gps", True), ("mocap", False)])
+def test_a_track_lower_than_its_vehicle_can_stop_above_the_floor_is_flown_higher_and_told_so(
+    tmp_path: Path, sensors: str, is_low: bool
+) -> None:
+    """In the chute the floor does not bind: figure8, 2 m up, never left it with GPS.  From every point of what is flown
+    the certified way to a stop is clear of the floor with the chute shut."""
+    field = HEAD.replace("3.3", "20.0").replace("0.3", "0.6")
+    field += "inside = [[-40.0, -40.0], [40.0, -40.0], [40.0, 40.0], [-40.0, 40.0]]\n"
+    prepared = prepare(FlyOptions(scenario="figure8", site=_site(tmp_path, field), sensors=sensors)).flight
+    made = prepared.protection.site
+    assert made is not None
+    flat, points, way = packed(made.site, made.chutes, -1.0), np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
+
+    def clearance_m(lower_m: float) -> float:
+        start, least = np.zeros(b.ROW), math.inf
+        for t_s in np.arange(0.0, 8.0, 0.2):
+            start[:11] = prepared.scenario.trajectory.at(t_s).row[:11]
+            start[2] += lower_m
+            count = b.roll(
+                start, made.certificate.rows[made.certificate.row_of(1.0)], made.certificate.halves()[1], points, way
+            )
+            assert count
+            least = min(least, clear_of(flat, way, count, 1.0)[0])
+        return least
+
+    assert clearance_m(0.0) > 0.0
+    assert (clearance_m(made.raised_m) < 0.0) is is_low
+    assert (made.raised_m > 0.0) is is_low
+    assert ("higher" in made.words) is is_low
+    assert prepared.scenario.trajectory.at(0.0).pos_ned_m[2] == pytest.approx(-2.0 - made.raised_m)
 
 
 def test_the_control_error_is_from_the_reference_that_was_followed(walled: FlightResult) -> None:

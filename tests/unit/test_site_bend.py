@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+import pytest
 
 from flightstack.site import approach, bend, slide
 from flightstack.site.clearance import JUMP_CODE, packed
@@ -15,6 +18,15 @@ BOX = packed(
         'schema = "flightstack.site/1"\nfloor_m = 0.3\nceiling_m = 3.0\n'
         "inside = [[-6.0, -5.0], [6.0, -5.0], [6.0, 5.0], [-6.0, 5.0]]\n",
         "box.toml",
+    ),
+    np.zeros((1, 2)),
+    1.6,
+)
+FIELD = packed(
+    parse_site(
+        'schema = "flightstack.site/1"\nfloor_m = 0.3\nceiling_m = 20.0\n'
+        "inside = [[-60.0, -50.0], [60.0, -50.0], [60.0, 50.0], [-60.0, 50.0]]\n",
+        "field.toml",
     ),
     np.zeros((1, 2)),
     1.6,
@@ -60,6 +72,31 @@ def test_a_jump_is_led_within_the_bounds_of_acceleration_and_jerk() -> None:
     assert jerk[moving[1:]].max() <= approach.JERK_MOST_MPS3 * 1.02
     assert np.allclose(rows[-1, :3], [3.0, 1.0, -1.5], atol=0.02)
     assert memory[bend.BENT] == 0.0  # it is there, and passes again
+
+
+@pytest.mark.parametrize("jerk_mps3", [12.0, 6.0, 2.1, 1.0])
+@pytest.mark.parametrize("jump_m", [0.3, 2.0])
+@pytest.mark.parametrize("is_moving", [False, True])
+def test_a_jump_is_caught_up_with_and_not_overshot(jerk_mps3: float, jump_m: float, is_moving: bool) -> None:
+    """A figure of eight of 4 m/s^2, which a vehicle that turns slowly was led round for a whole flight, metres off."""
+    memory, out, rows, way = np.zeros(bend.SIZE), np.empty(17), np.zeros((MOST_ROWS, 6)), np.zeros((192, 5))
+    kept, w = KEPT.copy(), 2.0 * math.pi / 8.0 if is_moving else 0.0
+    kept[slide.LED_JERK] = jerk_mps3
+    amplitude, rate = np.array([3.0, 1.5, 0.0]), np.array([w, 2.0 * w, 0.0])
+    away = []
+    for n in range(round(15.0 / DT_S)):
+        row, angle = np.zeros(17), rate * n * DT_S
+        for k in range(5):  # position to snap
+            row[3 * k : 3 * k + 3] = amplitude * rate**k * np.sin(angle + 0.5 * k * math.pi)
+        row[2] = -10.0
+        if n == 0:
+            bend.begin(memory, row + np.array([jump_m, 0.0, 0.0, *np.zeros(14)]), np.zeros(3))
+        bend.bend(memory, FIELD, kept, row, DT_S, rows, way, out)
+        away.append(np.linalg.norm(out[:3] - row[:3]))
+    assert max(away) <= jump_m + 0.02  # what it moves in a tick
+    assert np.max(np.diff(away)) < 0.01  # nor does it go away again
+    assert memory[bend.BENT] == 0.0
+    assert away[-1] == 0.0
 
 
 def test_a_jump_is_told_as_one() -> None:

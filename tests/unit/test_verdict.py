@@ -51,6 +51,12 @@ def test_each_thing_that_lacks_is_said_in_one_line(changes: dict[str, Any], rmse
     assert "\n" not in line
 
 
+def test_a_site_that_stopped_a_flight_again_and_again_is_named_as_why_it_was_elsewhere() -> None:
+    assert "the site's filter stopped it in 26% of the ticks" in flown().shortcoming(1.36, 0.26)
+    assert "site" not in flown().shortcoming(1.36, 0.01)
+    assert flown().shortcoming(0.3, 0.26) == ""
+
+
 def test_half_the_height_half_a_metre_and_one_and_a_half_metres_a_second_just_count() -> None:
     assert flown(rose_m=0.75, touchdown_mps=1.5).shortcoming(0.5) == ""
 
