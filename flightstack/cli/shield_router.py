@@ -140,8 +140,10 @@ class ShieldRouter:
     def from_vehicle(self, data: bytes, now_us: int) -> list[bytes]:
         """Take a datagram of the vehicle; what the program gets of it."""
         self.link.receive_datagram(data, now_us)
+        has_own = False
         for received in self.link.take_events():
             message = received.message
+            has_own |= isinstance(message, m.Timesync) and message.ts1_ns in self._stamps
             if not self.system and isinstance(message, m.Heartbeat):
                 if (message.autopilot, message.type) == (px4.AUTOPILOT_PX4, px4.TYPE_QUADROTOR):
                     self.system = self._voice.system = received.system
@@ -152,7 +154,7 @@ class ShieldRouter:
                     self.view.update(message, now_us)
                     self._place(message)
                     self._note_boot(message)
-        return without(data, self._is_own_answer, whole=False)
+        return without(data, self._is_own_answer, whole=False) if has_own else [data]  # each frame twice takes time
 
     def _place(self, message: object) -> None:
         """Where local frame and home lie on the globe."""

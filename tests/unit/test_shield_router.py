@@ -338,3 +338,13 @@ def test_a_vehicle_that_knows_less_than_the_margins_count_on_ends_it_before_it_i
     rig.run(3.0)
     assert rig.router.ended.startswith("the vehicle says that it knows its position")
     assert not rig.router.flies
+
+
+def test_the_answers_to_the_routers_own_clock_questions_are_kept_from_the_program(rig: Rig) -> None:
+    """Those to the program's pass, and the vehicle's questions."""
+    rig.heard.clear()
+    rig.program.send(m.Timesync(0, 4242, 1, px4.COMPONENT_AUTOPILOT))
+    rig.run(2.0)
+    clock = [message for message in rig.heard if isinstance(message, m.Timesync)]
+    assert {message.ts1_ns for message in clock if message.tc1_ns} == {4242}
+    assert len([message for message in clock if not message.tc1_ns]) > 10
