@@ -137,7 +137,8 @@ class StallWatch:
             return "other programs had the processor, or real time its fill of it"
         if spent.major:
             return "page faults from disk"
-        if spent.involuntary:
+        stood = self._schedstat >= 0 and spent.thread_us + spent.held_back_us <= _HALF * late_us
+        if spent.involuntary and not stood:  # a stopped process is interrupted by others besides, for a moment
             return "other programs had the processor"
         return "the process was stopped or not woken"
 

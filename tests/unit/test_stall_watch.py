@@ -13,6 +13,7 @@ import time
 import pytest
 
 from flightstack.cli.result import LoopTiming
+from mavlink_bridge.transport import stall_watch
 from mavlink_bridge.transport.stall_watch import Stall, StallWatch
 
 PERIOD_US, TOLD_US = 4_000, 8_000
@@ -78,6 +79,37 @@ def test_a_process_that_is_not_woken_is_named() -> None:
         stall = _stalled(watch)
     assert "while waiting for the deadline" in stall.words
     assert "stopped or not woken" in stall.words or "other programs" in stall.words
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/thread-self/schedstat"), reason="the system does not tell")
+@pytest.mark.parametrize(
+    ("tells", "held_back_us", "cause"),
+    [
+        (True, 100.0, "the process was stopped or not woken"),
+        (True, 1.2e6, "other programs had the processor"),
+        (False, 100.0, "other programs had the processor"),
+    ],
+)
+def test_a_stopped_process_that_others_interrupted_besides_is_no_matter_of_theirs(
+    monkeypatch: pytest.MonkeyPatch, tells: bool, held_back_us: float, cause: str
+) -> None:
+    """SIGSTOP for 2.7 s: two involuntary switches, and not let for 0.1 ms of it by the system's own account."""
+    watch = StallWatch(PERIOD_US, told_from_us=TOLD_US)
+    nothing = stall_watch._read(-1)
+    if not tells:
+        watch._schedstat = -1
+    interrupted = nothing._replace(
+        involuntary=nothing.involuntary + 2, held_back_us=nothing.held_back_us + held_back_us
+    )
+    interrupted = interrupted._replace(thread_us=nothing.thread_us + 0.2 * 2.7e6)
+    monkeypatch.setattr(stall_watch, "_read", lambda schedstat: interrupted)
+    clock = iter((1_000_000, 1_004_000, 3_737_000))
+    monkeypatch.setattr(stall_watch, "monotonic_us", lambda: next(clock))
+    watch._before = interrupted
+    watch.tick("receiving")
+    watch.mark("waiting for the deadline")
+    watch._before = nothing
+    assert f"ms between two ticks: {cause};" in _stalled(watch).words
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/thread-self/schedstat"), reason="the system does not tell")
