@@ -75,6 +75,18 @@ def mean_level_mps2(samples: Samples) -> float:
     return max(float(np.linalg.norm(each[samples.valid, :2].mean(axis=0))) for each in (in_body, in_world))
 
 
+def moving_level_mps2(samples: Samples) -> float:
+    """Of what was taken for the estimator's (`with_bias`), the rms about its mean, in the frame where that is less.
+
+    What swings or comes and goes within some seconds is not told from it.
+    """
+    if samples.bias_frd_mps2 is None or not samples.valid.any():
+        return 0.0
+    in_body = samples.bias_frd_mps2
+    in_world = rotate(track(samples).q_ned_frd, in_body)
+    return min(float(np.linalg.norm(each[samples.valid, :2].std(axis=0))) for each in (in_body, in_world))
+
+
 def bias_std(vehicle: Vehicle, samples: Samples) -> F64:
     """(3,) how far the estimator's belief is off, one standard deviation; 0 where none of it shows."""
     bias = with_bias(vehicle, samples).bias_frd_mps2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,7 +11,7 @@ from flightstack.effects import EFFECTS
 from flightstack.gap import estimator_bias, pooled
 from flightstack.gap.add import companion
 from flightstack.gap.compare import residual
-from flightstack.gap.decisions import MATTERS_MPS2
+from flightstack.gap.decisions import GAP_FROM, MATTERS_MPS2
 from flightstack.gap.identify import IN_PROPORTION, Identifiable
 from flightstack.gap.locate import regimes
 from flightstack.gap.name import Selection
@@ -34,7 +35,7 @@ def report(
     """Everything the page shows; `logs` in the order of the split's flights; `side_only`: of `words.sentence`."""
     drawn = _drawn_first(of)
     takes, learner = _companion(vehicle, naming)
-    told = {"limits": limits(naming.identifiable), "untold": untold_force(of.flights)}
+    told = {"limits": limits(naming.identifiable), "untold": untold_force(of.flights, gap.noise_floor.one_step_mps2)}
     return GapReport(
         sentence=words.sentence(naming.found, gap, naming.unexplained, side_only=side_only, **told),
         vehicle=vehicle.name,
@@ -162,16 +163,26 @@ def limits(rows: Sequence[Identifiable]) -> str:
     return "; ".join([*told, *([f"nothing can be told of the file's {hidden}"] if hidden else [])])
 
 
-def untold_force(flights: Sequence[Samples]) -> str:
-    """In words: the level force that an autopilot's own idea of its accelerometer's bias stands for, and its class."""
+def untold_force(flights: Sequence[Samples], floor_mps2: float | None = None) -> str:
+    """In words: the level force that an autopilot's own idea of its accelerometer's bias stands for, and its class.
+
+    One that moves is said where it would make a gap by itself above this noise floor.
+    """
     most = max((estimator_bias.mean_level_mps2(samples) for samples in flights), default=0.0)
-    if most < MATTERS_MPS2:
-        return ""
-    return (
-        f"a level force of {most:.2f} m/s² is the autopilot's own estimate of its accelerometer's bias or a constant "
-        "force, a steady wind, an accelerometer bias or a misaligned attitude, which this log can't tell apart (raw "
-        "accelerometer data would, as in a ULog)"
-    )
+    if most >= MATTERS_MPS2:
+        return (
+            f"a level force of {most:.2f} m/s² is the autopilot's own estimate of its accelerometer's bias or a "
+            "constant force, a steady wind, an accelerometer bias or a misaligned attitude, which this log can't tell "
+            "apart (raw accelerometer data would, as in a ULog)"
+        )
+    moving = max((estimator_bias.moving_level_mps2(samples) for samples in flights), default=0.0)
+    if moving >= (MATTERS_MPS2 if floor_mps2 is None else floor_mps2 * math.sqrt(GAP_FROM**2 - 1.0)):
+        return (
+            f"a level force that moves by {moving:.2f} m/s² was taken for the autopilot's own estimate of its "
+            "accelerometer's bias; what swings or comes and goes as slowly can't be told from it (raw accelerometer "
+            "data would tell it, as in a ULog)"
+        )
+    return ""
 
 
 def _off(row: Identifiable) -> str:

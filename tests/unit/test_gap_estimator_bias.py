@@ -143,3 +143,12 @@ def test_a_level_force_that_is_taken_for_the_belief_is_said_with_its_class() -> 
     for effect in ("constant force", "steady wind", "accelerometer bias", "misaligned attitude"):
         assert effect in told
     assert untold_force([flown]) == ""
+    # a load that sloshed at 0.8 Hz, 1.5 times the noise in all, was "no gap" without a word
+    swing = np.zeros_like(force)
+    swing[:, 0] = 0.1 * np.sqrt(2.0) * np.sin(2.0 * np.pi * 0.8 * flown.t_s)
+    moves = untold_force([replace(flown, bias_frd_mps2=swing)])
+    assert moves.startswith("a level force that moves by 0.10 m/s² was taken for the autopilot's own estimate")
+    small = [replace(flown, bias_frd_mps2=0.3 * swing)]
+    assert untold_force(small) == ""
+    assert untold_force(small, 0.06) == ""  # hypot(0.06, 0.03) is 1.1 times 0.06
+    assert "moves by 0.03 m/s²" in untold_force(small, 0.04)
