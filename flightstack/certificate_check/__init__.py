@@ -97,7 +97,7 @@ def check(text: str, log: BinaryIO | FlightRecording | None = None, vehicle: byt
 def _check(text: str, lines: list[str], log: BinaryIO | FlightRecording | None, vehicle: bytes | None) -> None:
     if is_stopping(text):
         if log is not None:
-            raise Refused("a certificate of a stop is not derived from a log: leave out --log")
+            raise Unreadable("a certificate of a stop is not derived from a log: leave out --log")
         lines += check_stopping(text)
         return
     data = table_of(unsealed(text), _TOP, "certificate")

@@ -33,6 +33,8 @@ _QUICK_MPS3, _FASTEST_BEGUN_MPS3 = 8.0, 25.0
 """Turning beyond which a tube grows with its square; what no way begins with more than."""
 _LOST_MPS2 = 1e6
 """A lean that is never brought back, well before its numbers overflow."""
+_SIDE_BY_SIDE = 12_000
+"""Steps of all ways that are looked at side by side."""
 _ROUNDS, _SHARES, _ENOUGH, _PASSED_ON = 6, (1.0, 0.4, 0.15), 0.9, 2
 
 
@@ -351,7 +353,15 @@ def _first_courses(lanes: _Lanes, sizes: F64) -> _Courses:
 
 def left(ways: list[_C], loop: Loop, sizes: F64) -> F64:
     """How far some ways (`laid_out`) are left; sizes: force, what no sensor shows, place, velocity.  0 where there is
-    no way."""
+    no way.  Long ways, as of a vehicle with GPS, some at a time, or they would not fit into the checker's memory."""
+    many = max(_SIDE_BY_SIDE // max(len(each) for each in ways), 1) if any(map(len, ways)) else 1
+    groups = -(-len(ways) // many)
+    size = -(-len(ways) // groups) if groups else 1
+    return np.concatenate([_left(ways[k : k + size], loop, sizes) for k in range(0, len(ways), size)] or [np.zeros(0)])
+
+
+def _left(ways: list[_C], loop: Loop, sizes: F64) -> F64:
+    """The same of as many as are looked at side by side."""
     rows = [each for each in ways if len(each)]
     if not rows:
         return np.zeros(len(ways))
