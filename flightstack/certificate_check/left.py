@@ -9,6 +9,7 @@ all of a certificate's ways side by side; then from what was worst a moment befo
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,8 +34,10 @@ _QUICK_MPS3, _FASTEST_BEGUN_MPS3 = 8.0, 25.0
 """Turning beyond which a tube grows with its square; what no way begins with more than."""
 _LOST_MPS2 = 1e6
 """A lean that is never brought back, well before its numbers overflow."""
-_SIDE_BY_SIDE = 12_000
+_SIDE_BY_SIDE = 13_500
 """Steps of all ways that are looked at side by side."""
+_AT_ONCE = 32
+"""Steps that are copied at once: copies of all of them would take as much memory again."""
 _ROUNDS, _SHARES, _ENOUGH, _PASSED_ON = 6, (1.0, 0.4, 0.15), 0.9, 2
 
 
@@ -153,17 +156,34 @@ class _Courses(NamedTuple):
     inputs: _C
     first: _C
 
-    def towards(self, share: float, bounds: _Courses) -> _Courses:
-        """A share of the way to other ones."""
-        return _Courses(*(mine + share * (theirs - mine) for mine, theirs in zip(self, bounds, strict=True)))
+    def between(self, share: float, bounds: _Courses, lanes: _I) -> _Courses:
+        """For some lanes, a share of the way to other ones; step by step, for all of them at once are large."""
+        found = bounds.of(lanes)
+        for part, mine in zip(found, self, strict=True):
+            for some in _steps(part):
+                here = mine[some][..., lanes]
+                part[some] -= here
+                part[some] *= share
+                part[some] += here
+        return found
 
     def of(self, lanes: _I | NDArray[np.bool_]) -> _Courses:
         """Those of some lanes."""
         return _Courses(self.inputs[..., lanes], self.first[..., lanes])
 
-    def take(self, lanes: _I, other: _Courses) -> None:
-        """Other ones for some lanes, in place."""
-        self.inputs[..., lanes], self.first[..., lanes] = other
+    def take(self, lanes: _I, other: _Courses, which: _I) -> None:
+        """Some of other ones for some lanes, in place."""
+        for mine, theirs in zip(self, other, strict=True):
+            _take(mine, lanes, theirs, which)
+
+
+def _steps(of: _C) -> Iterator[slice]:
+    return (slice(k, k + _AT_ONCE) for k in range(0, len(of), _AT_ONCE))
+
+
+def _take(mine: _C, lanes: _I, theirs: _C, which: _I) -> None:
+    for some in _steps(mine):
+        mine[some][..., lanes] = theirs[some][..., which]
 
 
 def _sizes(z: Any) -> Any:
@@ -309,13 +329,15 @@ def _driven(lanes: _Lanes, courses: _Courses, sizes: F64, loop: Loop) -> tuple[F
             toward /= np.maximum(np.abs(toward), 1e-12)
             toward *= most
         for share in _SHARES:
-            part, tried = lanes.of(still), courses.of(still).towards(share, bounds.of(still))
+            part, tried = lanes.of(still), courses.between(share, bounds, still)
             run = _run(part, tried, loop)
             found = _away(part, run)
             better = np.abs(found) > best[still]
             taken, still = still[better], still[~better]
-            away[taken], x[..., taken] = found[better], run[..., better]
-            courses.take(taken, tried.of(better))
+            away[taken] = found[better]
+            _take(x, taken, run, np.nonzero(better)[0])
+            courses.take(taken, tried, np.nonzero(better)[0])
+            del tried, run
             if len(still) < (1.0 - _ENOUGH) * len(away):
                 break
         if len(still) == len(away):
@@ -373,14 +395,15 @@ def _left(ways: list[_C], loop: Loop, sizes: F64) -> F64:
         lanes, order = _sorted(plain)
         if courses is None:
             courses = _first_courses(plain, sizes)
-        found, driven = _driven(lanes, courses.of(order), sizes, loop)
+        courses = courses.of(order)
+        found, driven = _driven(lanes, courses, sizes, loop)
         back = np.argsort(order)
-        found, driven = found[back].reshape(*shape, -1), driven.of(back)
+        found = found[back].reshape(*shape, -1)
         greatest = np.maximum(greatest, found.max(axis=(0, 2)))
         best = np.argmax(found, axis=2) + np.arange(found.size).reshape(found.shape)[:, :, 0]
         before, after = (best[np.clip(np.arange(len(best)) + step, 0, len(best) - 1)] for step in (-1, 1))
         taken = np.stack([before, after], axis=2).reshape(-1)  # what is worst a moment before, and after
-        plain, courses = _lanes(laid, lengths, 2), driven.of(taken)
+        plain, courses = _lanes(laid, lengths, 2), driven.of(back[taken])
     result = np.zeros(len(ways))
     result[[len(each) > 0 for each in ways]] = greatest
     return result

@@ -15,6 +15,7 @@ from flightstack.certificate_check import check, left
 from flightstack.certificate_check import stopping as stopping_check
 from flightstack.cli import files
 from flightstack.cli.certify_site import narrowed
+from flightstack.cli.checking import check_text
 from flightstack.cli.protection import governor_for
 from flightstack.cli.sensors import error_statistics
 from flightstack.model import Limits, Model
@@ -51,7 +52,7 @@ def text(made: StoppingCertificate) -> str:
 
 
 def test_an_honest_file_is_valid_and_stops_as_is_asked(made: StoppingCertificate, text: str) -> None:
-    verdict = check(text)
+    verdict = check_text(text, "stopping.json")  # within the memory and the time that a user's check has
     assert verdict.valid, verdict.lines
     assert made.stopping_way_m(5.0, 0.0) < 4.2
     assert made.radius_m < 0.35
