@@ -30,14 +30,11 @@ _STOP_SHARE = 0.75
 _LITTLE_MPS, _MUCH_MPS, _LEANT_S, _LITTLE_MPS2 = 2.0, 4.0, 0.4, 1.0
 """Motion with which a way is left no further than one from rest, and the furthest; what lean adds to it; the lean
 beyond what brakes that adds nothing by itself."""
-_QUICK_MPS3, _FASTEST_BEGUN_MPS3 = 8.0, 25.0
-"""Turning beyond which a tube grows with its square; what no way begins with more than."""
-_LOST_MPS2 = 1e6
-"""A lean that is never brought back, well before its numbers overflow."""
-_SIDE_BY_SIDE = 13_500
-"""Steps of all ways that are looked at side by side."""
-_AT_ONCE = 32
-"""Steps that are copied at once: copies of all of them would take as much memory again."""
+_QUICK_MPS3, _FASTEST_BEGUN_MPS3, _LOST_MPS2 = 8.0, 25.0, 1e6
+"""Turning beyond which a tube grows with its square; what no way begins with more than; a lean that is never brought
+back, well before its numbers overflow."""
+_SIDE_BY_SIDE, _AT_ONCE = 13_500, 32
+"""Steps of all ways that are looked at side by side, and that are copied at once: more would not fit into memory."""
 _ROUNDS, _SHARES, _ENOUGH, _PASSED_ON = 6, (1.0, 0.4, 0.15), 0.9, 2
 
 
@@ -366,9 +363,7 @@ def _first_courses(lanes: _Lanes, sizes: F64) -> _Courses:
     along, off = np.exp(1j * np.pi * half_turns), np.exp(1j * (np.pi * half_turns + _OFF_RAD))
     after = np.arange(len(lanes.laid))[:, None] >= (turned * lanes.last)[None, :]
     force = np.where(after, along, -along * np.exp(-1j * _OFF_RAD))
-    inputs: _C = np.stack(
-        [force, force, np.broadcast_to(-off, force.shape), np.broadcast_to(-off, force.shape)], axis=1
-    )
+    inputs: _C = np.stack([force, force, *2 * [np.broadcast_to(-off, force.shape)]], axis=1)
     first = np.stack([-sizes[0] * along, sizes[2] * off, sizes[3] * off]).astype(np.complex128)
     return _Courses(inputs * sizes[None, :, None], first)
 
@@ -376,25 +371,23 @@ def _first_courses(lanes: _Lanes, sizes: F64) -> _Courses:
 def left(ways: list[_C], loop: Loop, sizes: F64) -> F64:
     """How far some ways (`laid_out`) are left; sizes: force, what no sensor shows, place, velocity.  0 where there is
     no way.  Long ways, as of a vehicle with GPS, some at a time, or they would not fit into the checker's memory."""
-    many = max(_SIDE_BY_SIDE // max(len(each) for each in ways), 1) if any(map(len, ways)) else 1
-    groups = -(-len(ways) // many)
-    size = -(-len(ways) // groups) if groups else 1
-    return np.concatenate([_left(ways[k : k + size], loop, sizes) for k in range(0, len(ways), size)] or [np.zeros(0)])
+    result, there = np.zeros(len(ways)), np.array([k for k, each in enumerate(ways) if len(each)], dtype=np.int64)
+    if len(there):
+        most = max(_SIDE_BY_SIDE // max(map(len, ways)), 1)
+        for some in np.array_split(there, -(-len(there) // most)):
+            result[some] = _left([ways[k] for k in some], loop, sizes)
+    return result
 
 
-def _left(ways: list[_C], loop: Loop, sizes: F64) -> F64:
+def _left(rows: list[_C], loop: Loop, sizes: F64) -> F64:
     """The same of as many as are looked at side by side."""
-    rows = [each for each in ways if len(each)]
-    if not rows:
-        return np.zeros(len(ways))
     lengths = np.array([len(each) for each in rows])
     laid = np.stack([np.concatenate([w, np.repeat(w[-1:], lengths.max() - len(w), axis=0)]) for w in rows], axis=2)
     greatest, shape = np.zeros(len(rows)), (len(_MOMENTS), len(rows))
-    plain, courses = _lanes(laid, lengths, len(_COURSES)), None
+    plain = _lanes(laid, lengths, len(_COURSES))
+    courses = _first_courses(plain, sizes)
     for _ in range(1 + _PASSED_ON):
         lanes, order = _sorted(plain)
-        if courses is None:
-            courses = _first_courses(plain, sizes)
         courses = courses.of(order)
         found, driven = _driven(lanes, courses, sizes, loop)
         back = np.argsort(order)
@@ -404,6 +397,4 @@ def _left(ways: list[_C], loop: Loop, sizes: F64) -> F64:
         before, after = (best[np.clip(np.arange(len(best)) + step, 0, len(best) - 1)] for step in (-1, 1))
         taken = np.stack([before, after], axis=2).reshape(-1)  # what is worst a moment before, and after
         plain, courses = _lanes(laid, lengths, 2), driven.of(back[taken])
-    result = np.zeros(len(ways))
-    result[[len(each) > 0 for each in ways]] = greatest
-    return result
+    return greatest
