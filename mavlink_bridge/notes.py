@@ -83,7 +83,10 @@ class Swinging:
         if self._square < _SWING_RAD * _SWING_RAD:
             return ""
         error_rad = math.sqrt(self._square)
-        return f"swinging: the vehicle turns {error_rad:.1f} rad (rms) otherwise than sent: look at PX4's rate gains"
+        return (
+            f"swinging: the vehicle turns {error_rad:.1f} rad (rms) otherwise than sent: look at PX4's rate gains and "
+            "limits (MC_*RATE_MAX)"
+        )
 
 
 class GuardNotes:

@@ -157,14 +157,21 @@ class Px4:
         return self._values[name]
 
     def set_param(self, name: str, value: float) -> None:
-        """Set a parameter and see it taken."""
+        """Set a parameter and see it taken; RuntimeError where it is not.
+
+        A busy machine loses a PARAM_SET, and answers to earlier requests come after it: neither is PX4's last word.
+        """
         self.param(name)
         kind = self._types[name]
         sent = struct.unpack("<f", struct.pack("<i", int(value)))[0] if kind == _INT32 else float(value)
-        self.link.mav.param_set_send(self.instance + 1, 1, name.encode(), sent, kind)
-        time.sleep(0.1)
-        if not math.isclose(self.param(name), value, rel_tol=1e-6):
-            raise RuntimeError(f"{name} is {self._values[name]:g}, not {value:g}")
+        deadline = time.monotonic() + ANSWER_S
+        while True:
+            self.link.mav.param_set_send(self.instance + 1, 1, name.encode(), sent, kind)
+            time.sleep(0.1)
+            if math.isclose(self.param(name), value, rel_tol=1e-6):
+                return
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"{name} is {self._values[name]:g}, not {value:g}")
 
     # ---------------------------------------------------------------- what is heard
 

@@ -11,20 +11,23 @@ import signal
 import subprocess
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.px4.companion import start
+from benchmarks.px4.companion import MASS_KG, light_vehicle, start
 from benchmarks.px4.records import Bench, Row
 from benchmarks.px4.station import Px4, Truth, log_folder
 
 ASKED = (
     "figure8 at default parameters (COM_OF_LOSS_T 1 s), the companion killed (SIGKILL) or stopped for 0.1 to 3 s "
     "(SIGSTOP) at a random moment: no ground contact, tilt at most 35 degrees, height lost in the first second 0.5 m "
-    "in the median, 0.8 m at worst.  The same of seven stalls of 0.1 s, one after the other."
+    "in the median, 0.8 m at worst.  The same of seven stalls of 0.1 s, one after the other, and half as often in a "
+    "site (SIH_MASS 0.7).  `KILLS_STALL_S`: the longest stall."
 )
 RUNS = 50
+STALL_MOST_S = float(os.environ.get("KILLS_STALL_S", "3"))
 TILT_MAX_DEG, LOST_MEDIAN_M, LOST_MAX_M = 35.0, 0.5, 0.8
 SHORT_S = 0.5
 """Stalls below are taken back."""
@@ -40,6 +43,14 @@ _ATTEMPTS = 3
 _LAND = (176, 129.0, 4.0, 6.0)
 OFFBOARD_MAIN = 6
 _RESULT = "seen.json"
+_KILLED, _STOPPED = "killed (SIGKILL)", f"stopped for 0.1 to {STALL_MOST_S:g} s (SIGSTOP)"
+_FAST_MPS, _FAST_IN_SITE_MPS = 2.0, 0.8
+"""On the track; in a site the figure is flown slower."""
+SITE = """schema = "flightstack.site/1"
+floor_m = 0.3
+ceiling_m = 60.0
+inside = [[-200.0, -200.0], [200.0, -200.0], [200.0, 200.0], [-200.0, 200.0]]
+"""
 
 
 class Seen(NamedTuple):
@@ -60,22 +71,22 @@ class Seen(NamedTuple):
     said: str
     times: int = 1
     """Stalls, one after the other."""
+    site: bool = False
+    """Flown in a site."""
 
 
 def run(bench: Bench, runs: int) -> list[Row]:
-    """`runs` kills and `runs` stalls, by turns on one PX4, and bursts of stalls; those that a folder holds already are
-    not flown again."""
-    kills, stalls, bursts = _kept(bench)
-    draw = random.Random(len(kills) + len(stalls))
+    """`runs` kills and `runs` stalls, by turns on one PX4, and bursts of stalls; half as many kills and stalls in a
+    site; those that a folder holds already are not flown again."""
     with Px4(bench) as px4:
-        while min(len(kills), len(stalls)) < runs:
-            if len(kills) <= len(stalls):
-                kills.append(_trial(bench, px4, draw, math.inf))
-            else:
-                stalls.append(_trial(bench, px4, draw, draw.uniform(0.1, 3.0)))
+        kills, stalls = _by_turns(bench, px4, runs, site=False)
+        bursts = [each for each in _kept(bench) if each.times > 1]
+        draw = random.Random(len(bursts))
         while len(bursts) < math.ceil(runs / BURST_SHARE):
             bursts.append(_trial(bench, px4, draw, BURST_STALL_S, BURST))
-    short = [seen for seen in stalls if seen.stall_s < SHORT_S - 0.05]
+    with Px4(bench, params={"SIH_MASS": MASS_KG}) as px4:
+        in_site = _by_turns(bench, px4, runs // 2, site=True)
+    short = [seen for seen in (*stalls, *in_site[1]) if seen.stall_s < SHORT_S - 0.05]
     back = Row(
         f"stalls below {SHORT_S:g} s taken back", f"{sum(seen.taken_back for seen in short)} of {len(short)}",
         all(seen.taken_back for seen in short) if short else None, len(short),
@@ -83,16 +94,27 @@ def run(bench: Bench, runs: int) -> list[Row]:
     )  # fmt: skip
     burst = _row(f"stopped {BURST} times for {BURST_STALL_S:g} s within 8 s", bursts)
     flown_on = f"{burst.measured}; in OFFBOARD 4 s after the last: {sum(seen.taken_back for seen in bursts)}"
-    burst = replace(burst, measured=flown_on)
-    return [_row("killed (SIGKILL)", kills), _row("stopped for 0.1 to 3 s (SIGSTOP)", stalls), back, burst]
+    rows = [_row(_KILLED, kills), _row(_STOPPED, stalls)]
+    rows += [_row(f"{what}, in a site", seen) for what, seen in zip((_KILLED, _STOPPED), in_site, strict=True) if seen]
+    return [*rows, back, replace(burst, measured=flown_on)]
 
 
-def _kept(bench: Bench) -> tuple[list[Seen], list[Seen], list[Seen]]:
-    """Kills, stalls and bursts that were flown before."""
-    seen = [Seen(**json.loads(file.read_text())) for file in sorted(bench.out.glob(f"kills-*/{_RESULT}"))]
-    once = [each for each in seen if each.times == 1]
+def _by_turns(bench: Bench, px4: Px4, runs: int, *, site: bool) -> tuple[list[Seen], list[Seen]]:
+    """Kills and stalls until there are `runs` of each."""
+    once = [each for each in _kept(bench) if each.times == 1 and each.site == site]
     kills, stalls = [e for e in once if math.isinf(e.stall_s)], [e for e in once if math.isfinite(e.stall_s)]
-    return kills, stalls, [each for each in seen if each.times > 1]
+    draw = random.Random(len(once) + 1000 * site)
+    while min(len(kills), len(stalls)) < runs:
+        if len(kills) <= len(stalls):
+            kills.append(_trial(bench, px4, draw, math.inf, site=site))
+        else:
+            stalls.append(_trial(bench, px4, draw, draw.uniform(0.1, STALL_MOST_S), site=site))
+    return kills, stalls
+
+
+def _kept(bench: Bench) -> list[Seen]:
+    """What was flown before."""
+    return [Seen(**json.loads(file.read_text())) for file in sorted(bench.out.glob(f"kills-*/{_RESULT}"))]
 
 
 def _row(what: str, trials: list[Seen]) -> Row:
@@ -113,18 +135,19 @@ def _row(what: str, trials: list[Seen]) -> Row:
     return Row(what, measured, bool(good), len(trials), notes)
 
 
-def _trial(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times: int = 1) -> Seen:
+def _trial(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times: int = 1, *, site: bool = False) -> Seen:
     for _ in range(_ATTEMPTS):
-        if (seen := _attempt(bench, px4, draw, stall_s, times)) is not None:
+        if (seen := _attempt(bench, px4, draw, stall_s, times, site=site)) is not None:
             return seen
     raise RuntimeError(f"{_ATTEMPTS} flights in a row ended before their moment: see {bench.out}")
 
 
-def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times: int) -> Seen | None:
+def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times: int, *, site: bool) -> Seen | None:
     folder = log_folder(bench, "kills")
-    process = start(px4, folder, "figure8")
+    process = start(px4, folder, "figure8", *(_in_site(folder) if site else ()))
+    fast_mps = _FAST_IN_SITE_MPS if site else _FAST_MPS
     try:
-        began = px4.wait(lambda: _on_track(px4) or process.poll() is not None, _READY_LIMIT_S)
+        began = px4.wait(lambda: _on_track(px4, fast_mps) or process.poll() is not None, _READY_LIMIT_S)
         if not began or process.poll() is not None:
             print(f"the flight did not begin: see {folder}/companion.txt", flush=True)
             return None
@@ -148,16 +171,23 @@ def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times:
     finally:
         bring_down(px4, process)
     said = " ".join((folder / "companion.txt").read_text().split())[-160:]
-    seen = seen._replace(said=said, times=times)
+    seen = seen._replace(said=said, times=times, site=site)
     (folder / _RESULT).write_text(json.dumps(seen._asdict()))
     print(seen, flush=True)
     return seen
 
 
-def _on_track(px4: Px4) -> bool:
+def _in_site(folder: Path) -> tuple[str, ...]:
+    """The companion's words for a flight in `SITE`, its files in `folder`."""
+    (folder / "field.toml").write_text(SITE)
+    words = "--site", str(folder / "field.toml"), "--vehicle", str(light_vehicle(folder)), "--sensors", "px4-sih-ekf"
+    return (*words, "--unprotected-ok")
+
+
+def _on_track(px4: Px4, fast_mps: float) -> bool:
     """At the speed of the figure, in the air."""
     last = px4.truth[-1]
-    return px4.armed and last.up_m > 1.0 and math.hypot(last.vel_n_mps, last.vel_e_mps) > 2.0
+    return px4.armed and last.up_m > 1.0 and math.hypot(last.vel_n_mps, last.vel_e_mps) > fast_mps
 
 
 def _judge(truth: list[Truth], watched: tuple[float, float], stall_s: float, taken_back: bool) -> Seen:

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.px4.companion import MASS_KG, light_vehicle
 from benchmarks.px4.records import Bench, Row
 from benchmarks.px4.station import Px4, log_folder
 from benchmarks.px4.subjects.kills import LOST_MAX_M
-from flightstack.cli.files import load_vehicle
 
 ASKED = (
     "A program races at 4 m/s behind the shield, PX4 at default parameters but for a mass of 0.7 kg (at 1 kg its "
@@ -30,7 +30,7 @@ floor_m = 0.3
 ceiling_m = 20.0
 inside = [[-30.0, -20.0], [30.0, -20.0], [30.0, 20.0], [-30.0, 20.0]]
 """
-MASS_KG, _PORT = 0.7, 14640
+_PORT = 14640
 _PROGRAM = Path(__file__).parents[3] / "tests" / "client" / "shielded_program.py"
 _KILLED, _STOPPED, _ENDED = _DEEDS = ("killed", "stopped for 0.3 s", "ended by SIGTERM")
 _WATCH_S, _REST_S, _LIMIT_S = 1.0, 9.0, 60.0
@@ -51,15 +51,6 @@ def _row(deed: str, seen: list[dict[str, float]]) -> Row:
         words += f"; added latency p99 {max(late):.0f} us"
         good = good and max(late) <= 1000.0
     return Row(f"shield {deed}, worst", words, good, len(seen))
-
-
-def light_vehicle(folder: Path) -> Path:
-    """The vehicle file of such a mass, written into `folder`."""
-    text = load_vehicle("px4-sihsim-quadx")[1].text
-    lines = [f"mass_kg = {MASS_KG}" if line.startswith("mass_kg") else line for line in text.splitlines()]
-    file = folder / "light.toml"
-    file.write_text("\n".join(lines) + "\n")
-    return file
 
 
 def _flight(bench: Bench, deed: str) -> dict[str, float]:

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.px4.companion import MASS_KG, light_vehicle
 from benchmarks.px4.deeds import ARM, HOLD, LAND, RETURN
 from benchmarks.px4.records import Bench, Row
 from benchmarks.px4.scene import OFFBOARD, SET_MODE, SOFT_MPS
 from benchmarks.px4.station import Px4, Truth, log_folder
-from benchmarks.px4.subjects.shield import MASS_KG, light_vehicle
 
 ASKED = (
     "A program races at 4 m/s behind the shield (SIH_MASS 0.7, PX4 else at default parameters), an outsider "

@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from benchmarks.px4.companion import start
+from benchmarks.px4.companion import MASS_KG, light_vehicle, start
 from benchmarks.px4.deeds import ARM, HOLD, LAND, RETURN, Attack, flown
 from benchmarks.px4.records import Bench, Row
 from benchmarks.px4.scene import LIMIT_S, OFFBOARD, Scene
-from benchmarks.px4.subjects.shield import MASS_KG, SITE, light_vehicle
+from benchmarks.px4.subjects.shield import SITE
 
 ASKED = (
     "An outsider interferes with a take-off: whoever takes the vehicle keeps it, one line says why, nothing raises, "
