@@ -29,7 +29,9 @@ from flightstack_logs.turn import rotate
 
 LEVEL = (0, 1)
 """Channels of the specific force along the body's level axes."""
-_KNOTS_S = 0.5
+_KNOTS_S = 1.0
+"""What swings faster than half of this asks is not a filter's: of what a real PX4 believed less than 0.3 % of the
+variance lies above 0.35 Hz (`estimator_sensor_bias`); a load sloshes from there on."""
 _MOST_KNOTS = 120
 _BLOCK_S = 0.25
 _SIZES_MPS2 = np.array([0.0, 0.01, 0.02, 0.04, 0.06, 0.09, 0.13, 0.2, 0.3, 0.4])

@@ -35,7 +35,8 @@ def report(
     """Everything the page shows; `logs` in the order of the split's flights; `side_only`: of `words.sentence`."""
     drawn = _drawn_first(of)
     takes, learner = _companion(vehicle, naming)
-    told = {"limits": limits(naming.identifiable), "untold": untold_force(of.flights, gap.noise_floor.one_step_mps2)}
+    untold = untold_force(of.flights, gap.noise_floor.one_step_mps2)
+    told = {"limits": limits(naming.identifiable), "untold": untold}
     return GapReport(
         sentence=words.sentence(naming.found, gap, naming.unexplained, side_only=side_only, **told),
         vehicle=vehicle.name,
@@ -53,6 +54,7 @@ def report(
         takes=takes,
         learner=learner,
         across=tuple(a for a in naming.across if not a.same or a.effect in {f.name for f in naming.found}),
+        untold=untold,
     )
 
 

@@ -69,6 +69,7 @@ def as_json(result: GapResult) -> dict[str, Any]:
             "depends_on": list(result.unexplained.depends_on),
             "fraction": _known(result.unexplained.fraction),
         },
+        "untold": result.report.untold,
         "flights": [_across(row) for row in result.across],
         "rejected": [_rejected(row) for row in result.rejected],
         "shown": [_shown(row) for row in result.report.shown],

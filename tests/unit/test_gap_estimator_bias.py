@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import gzip
+import io
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from pyulog import ULog
 
+from benchmarks.gap_cases import make, write
 from flightstack.gap import pooled
 from flightstack.gap.concluded import concluded
 from flightstack.gap.estimator_bias import slow_error, with_bias
@@ -14,12 +19,14 @@ from flightstack.gap.gather import untold_force
 from flightstack.gap.name import Selection
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Gap, Samples
+from flightstack.gap.result import as_json
 from flightstack.gap.sources import FREED
 from flightstack.gap.track import track
+from flightstack.gap.workflow import analyse
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs.turn import multiply, rotate_inverse, turned
 from tests.gap_flights import Reference, as_samples, fly, hidden, quad, wander
-from tests.thorough import THOROUGH
+from tests.thorough import ONLY_THEN, THOROUGH
 
 DRAG = {"linear_drag": {f"d_{axis}_kgps": 0.4 for axis in "xyz"}}
 BELIEVED = hidden(quad(), DRAG)
@@ -77,6 +84,44 @@ def test_noise_alone_has_no_slow_error() -> None:
     for seed in range(20):
         noise = np.random.default_rng(seed).standard_normal(3000)
         assert not slow_error(noise, np.ones(3000, np.bool_), 0.02).any()
+
+
+@pytest.mark.parametrize("hz", [0.65, 0.8, 1.2])
+def test_a_load_that_sloshes_beside_is_not_taken_for_what_a_filter_believes(hz: float) -> None:
+    """Three quarters of one at 0.65 Hz were: a flight with 1.5 times the noise had "no gap"."""
+    t_s = 0.02 * np.arange(3000)
+    noise = 0.05 * np.random.default_rng(3).standard_normal(3000)
+    swing = 0.05 * np.sqrt(2.0) * np.sin(2.0 * np.pi * hz * t_s + 0.3)
+    for believed in (np.zeros(3000), belief(3000, 0.02, 7)[:, 0]):
+        off = believed + swing
+        left = off - slow_error(off + noise, np.ones(3000, np.bool_), 0.02)
+        assert float(left @ swing) > 0.9 * float(swing @ swing)
+
+
+@pytest.mark.recorded
+def test_what_a_real_filter_believed_is_found(recorded: Path) -> None:
+    """PX4 wrote down what it believed of its accelerometer's bias; more than a twentieth of the rms is not left."""
+    log = ULog(io.BytesIO(gzip.decompress((recorded / "px4_sih_flight.ulg.gz").read_bytes())))
+    said_by_px4 = log.get_dataset("estimator_sensor_bias").data
+    at_s = 1e-6 * said_by_px4["timestamp"]
+    t_s = np.arange(at_s[0], at_s[-1], 0.01)
+    noise = 0.05 * np.random.default_rng(3).standard_normal(len(t_s))
+    for axis in range(2):
+        true = np.interp(t_s, at_s, said_by_px4[f"accel_bias[{axis}]"])
+        found = slow_error(true + noise, np.ones(len(t_s), np.bool_), 0.01)
+        assert np.std(true) > 0.09
+        assert np.std(found - true) < 0.08 * np.std(true)
+
+
+@ONLY_THEN
+def test_a_load_that_sloshes_in_an_autopilot_s_log_is_called_unexplained(tmp_path: Path) -> None:
+    """It pushes by 1.5 times the noise; the same flight as a CSV was called unexplained, as MCAP "no gap"."""
+    case = make("outside:slosh", 5050204)
+    log, _, _ = write(case, tmp_path, "case", "mcap")
+    found = analyse([log], case.believed)
+    assert found.found == ()
+    assert found.unexplained.significant
+    assert as_json(found)["untold"] == ""
 
 
 def test_a_flight_loses_what_was_put_into_it_and_no_more_than_a_filter_believes() -> None:

@@ -17,7 +17,7 @@ from flightstack.gap.identify import Identifiable
 from flightstack.gap.pooled import split
 from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Samples, Unexplained
 from flightstack.gap.report import tables, words
-from flightstack.gap.report.page import panels
+from flightstack.gap.report.page import panels, render_report
 from flightstack.gap.report.record import GapReport, Trace
 from flightstack.gap.verdict import closed
 
@@ -132,6 +132,20 @@ def test_no_gap_is_said_of_what_was_compared_only(before: Figures, side_only: bo
     assert (state, word) == (("plain", f"no gap in {part}") if part else ("good", "no gap"))
     page = tables.effects(GapReport(said, "quad-x", gap, (), (), NOTHING, ()))
     assert (f"in {part}, all that was compared" in page) is bool(part)
+
+
+def test_where_a_force_is_not_told_no_part_of_the_page_says_plainly_that_there_is_no_gap() -> None:
+    """The sentence had it; badge, tile and table said "no gap", "nothing significant" and "agree within the noise"."""
+    gap = Gap(figures(0.05, 0.1), figures(0.05, 0.1), figures(0.05, 0.1), None)
+    untold = "a level force of 0.22 m/s² is the autopilot's own estimate or a constant force"
+    said = words.sentence((), gap, NOTHING, untold=untold)
+    report = GapReport(said, "quad-x", gap, (), (), NOTHING, (), untold=untold)
+    page = render_report(report)
+    assert "no gap but a force untold" in page
+    assert ">no gap<" not in page
+    assert "nothing significant" not in page
+    assert "but for a level force that is not told" in page
+    assert "a level force of 0.22" in tables.effects(report)
 
 
 def flight(seconds: float) -> Samples:

@@ -35,7 +35,9 @@ def write_report(report: GapReport, path: Path) -> Path:
 def render_report(report: GapReport) -> str:
     """The whole page."""
     side_only = words.is_side_only(report)
-    state, verdict = words.verdict(report.found, report.gap, report.unexplained, side_only=side_only)
+    state, verdict = words.verdict(
+        report.found, report.gap, report.unexplained, side_only=side_only, untold=report.untold
+    )
     drawn = panels(report.traces)
     data = {"phases": [], "events": [], "panels": [panel.payload() for panel in drawn], "path": None}
     own = resources.files("flightstack.gap.report")
@@ -99,7 +101,7 @@ def _share_left(report: GapReport) -> str:
 def _left(report: GapReport) -> str:
     rest = report.unexplained
     if not rest.significant:
-        return "nothing significant"
+        return "but for a level force that is not told" if report.untold else "nothing significant"
     return f"depends on {', '.join(rest.depends_on)}" if rest.depends_on else "on nothing that these logs show"
 
 

@@ -113,3 +113,5 @@ class GapReport:
     """Of several flights: what each says alone of what was named, or taken back for it."""
     learner: tuple[str, ...] = ()
     """Effects that the companion's model can't express: its learner has to take them."""
+    untold: str = ""
+    """A level force that no log of this kind tells from its autopilot's own estimates, in words; else empty."""

@@ -31,7 +31,8 @@ def effects(report: GapReport) -> str:
     if not parts:
         part = words.compared(report.gap, side_only=words.is_side_only(report))
         where = f" in {part}, all that was compared" if part else ""
-        return f'<p class="missing">Nothing: model and measurement agree within the noise{where}.</p>'
+        untold = f"; {escape(report.untold)}" if report.untold else ""
+        return f'<p class="missing">Nothing: model and measurement agree within the noise{where}{untold}.</p>'
     if report.takes:
         parts.append(f'<p class="note">The companion takes {escape(", ".join(report.takes))} into its model.</p>')
     if report.learner:

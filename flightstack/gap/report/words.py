@@ -205,15 +205,22 @@ def held_out(found: IdentifiedEffect) -> str:
 
 
 def verdict(
-    found: tuple[IdentifiedEffect, ...], gap: Gap, unexplained: Unexplained, *, side_only: bool = False
+    found: tuple[IdentifiedEffect, ...],
+    gap: Gap,
+    unexplained: Unexplained,
+    *,
+    side_only: bool = False,
+    untold: str = "",
 ) -> tuple[str, str]:
-    """The page's state (good, plain, bad) and word."""
+    """The page's state (good, plain, bad) and word; of `untold` (of `sentence`) nobody knows whether it is a gap."""
     if unexplained.significant:
         return "bad", "partly explained" if found else "not explained"
     if not found:
         if gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
             return "plain", "data check only"
         part = compared(gap, side_only=side_only)
+        if untold:
+            return "plain", f"no gap{f' in {part}' * bool(part)} but a force untold"
         return ("plain", f"no gap in {part}") if part else ("good", "no gap")
     if any(each.indistinguishable_from for each in found):
         return "plain", "found, with a twin"
