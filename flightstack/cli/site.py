@@ -335,7 +335,8 @@ def low_m(certificate: StoppingCertificate, vel_mps: float) -> float:
 
 
 def _raised_m(scenario: Scenario, site: Site, room_m: float) -> float:
-    """By how much higher a track is to be flown so that it begins above the chute, as far as the ceiling lets it be.
+    """By how much higher a track is to be flown so that it begins above the chute and keeps as far from the ceiling; in
+    the middle where there is no room for both.
 
     In the chute the floor does not bind: a track that never left it would be flown with nothing kept clear below.
     """
@@ -343,8 +344,8 @@ def _raised_m(scenario: Scenario, site: Site, room_m: float) -> float:
     track = np.stack([scenario.trajectory.at(t_s).pos_ned_m for t_s in times_s.tolist()])
     if np.hypot(track[:, 0], track[:, 1]).max() <= _ACROSS_M:
         return 0.0
-    least_m, most_m = site.floor_m + room_m, site.ceiling_m - room_m
-    return float(max(min(least_m + track[0, 2], most_m + track[:, 2].min()), 0.0))
+    above_m, below_m = site.floor_m + room_m + track[0, 2], site.ceiling_m - room_m + track[:, 2].min()
+    return float(max(above_m if above_m <= below_m else 0.5 * (above_m + below_m), 0.0))
 
 
 def raised(scenario: Scenario, by_m: float) -> Scenario:

@@ -19,6 +19,8 @@ from flightstack.cli.flight import FlyOptions, fly, prepare
 from flightstack.cli.home import parse_home
 from flightstack.cli.main import main
 from flightstack.cli.result import FlightResult
+from flightstack.cli.site import SitePlan
+from flightstack.scenario import Scenario
 from flightstack.site import backup as b
 from flightstack.site.clearance import clear_of, packed
 from flightstack.types import InputError
@@ -90,6 +92,21 @@ def test_the_view_shows_the_site_and_a_way_to_a_stop_within_it(walled: FlightRes
     assert max(np.linalg.norm(flown["pos_ned_m"] - start, axis=1).min() for start in starts) < 0.3
 
 
+def _clearance_m(made: SitePlan, scenario: Scenario, lower_m: float) -> float:
+    """What is left between the certified ways from every point of a track and floor or ceiling, the chute shut."""
+    flat, points, way = packed(made.site, made.chutes, -1.0), np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
+    start, least = np.zeros(b.ROW), math.inf
+    for t_s in np.arange(0.0, 8.0, 0.2):
+        start[:11] = scenario.trajectory.at(t_s).row[:11]
+        start[2] += lower_m
+        count = b.roll(
+            start, made.certificate.rows[made.certificate.row_of(1.0)], made.certificate.halves()[1], points, way
+        )
+        assert count
+        least = min(least, clear_of(flat, way, count, 1.0)[0])
+    return least
+
+
 @pytest.mark.parametrize(("sensors", "is_low"), [("gps", True), ("mocap", False)])
 def test_a_track_lower_than_its_vehicle_can_stop_above_the_floor_is_flown_higher_and_told_so(
     tmp_path: Path, sensors: str, is_low: bool
@@ -101,25 +118,22 @@ def test_a_track_lower_than_its_vehicle_can_stop_above_the_floor_is_flown_higher
     prepared = prepare(FlyOptions(scenario="figure8", site=_site(tmp_path, field), sensors=sensors)).flight
     made = prepared.protection.site
     assert made is not None
-    flat, points, way = packed(made.site, made.chutes, -1.0), np.zeros((b.STEPS, b.ROW)), np.zeros((b.STEPS, 5))
-
-    def clearance_m(lower_m: float) -> float:
-        start, least = np.zeros(b.ROW), math.inf
-        for t_s in np.arange(0.0, 8.0, 0.2):
-            start[:11] = prepared.scenario.trajectory.at(t_s).row[:11]
-            start[2] += lower_m
-            count = b.roll(
-                start, made.certificate.rows[made.certificate.row_of(1.0)], made.certificate.halves()[1], points, way
-            )
-            assert count
-            least = min(least, clear_of(flat, way, count, 1.0)[0])
-        return least
-
-    assert clearance_m(0.0) > 0.0
-    assert (clearance_m(made.raised_m) < 0.0) is is_low
+    assert _clearance_m(made, prepared.scenario, 0.0) > 0.0
+    assert (_clearance_m(made, prepared.scenario, made.raised_m) < 0.0) is is_low
     assert (made.raised_m > 0.0) is is_low
     assert ("higher" in made.words) is is_low
     assert prepared.scenario.trajectory.at(0.0).pos_ned_m[2] == pytest.approx(-2.0 - made.raised_m)
+
+
+def test_where_floor_and_ceiling_are_both_near_a_low_track_is_flown_between_them(tmp_path: Path) -> None:
+    """Raised by as much as the ceiling spared it lay where the floor changed two commands of five."""
+    field = HEAD.replace("3.3", "5.0") + "inside = [[-40.0, -40.0], [40.0, -40.0], [40.0, 40.0], [-40.0, 40.0]]\n"
+    prepared = prepare(FlyOptions(scenario="figure8", site=_site(tmp_path, field), sensors="gps")).flight
+    made = prepared.protection.site
+    assert made is not None
+    left_m = _clearance_m(made, prepared.scenario, 0.0)
+    others = [_clearance_m(made, prepared.scenario, lower_m) for lower_m in (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)]
+    assert left_m > max(others)
 
 
 def test_the_control_error_is_from_the_reference_that_was_followed(walled: FlightResult) -> None:
