@@ -26,6 +26,7 @@ from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
 from flightstack.cli.shield_frames import is_mavlink
 from flightstack.cli.shield_router import ShieldRouter
+from flightstack.cli.shield_turns import HeldTurns
 from flightstack.cli.shield_words import ShieldWords
 from flightstack.cli.site import envelope, given_prior, load_site, plan_site
 from flightstack.cli.site_change import SiteChanges
@@ -121,6 +122,8 @@ def shield(
     warm_up(stack, files.load_scenario(_SCENARIO)[0])
     bounds = estimate_bounds(error_statistics(load_grade(options.sensors)))
     router = ShieldRouter(stack, relay, refiner, place, lambda view: unknowing(view, bounds, options.sensors))
+    governed = stack.filter.governed(None)  # of a site the same in every state
+    turns = HeldTurns(governed.yaw_max if governed else math.inf)
     began_us = monotonic_us()
     with ExitStack() as opened:
         opened.enter_context(undisturbed(real_time=True))
@@ -130,9 +133,14 @@ def shield(
         on_progress(0.0, "routing")
         opened.enter_context(last_words(router, vehicle))
         changes = opened.enter_context(closing(SiteChanges(options.site, place)))
-        latencies = _route(router, (vehicle, program), dead_man, changes, _until(options.duration_s, stop_requested))
+        latencies = _route(
+            router, (vehicle, program), dead_man, changes, turns, _until(options.duration_s, stop_requested)
+        )
         summary = dead_man.summary()
-    return result_of(router, options, latencies, 1e-6 * (monotonic_us() - began_us)) | {"dead_man": summary}
+    result = result_of(router, options, latencies, 1e-6 * (monotonic_us() - began_us))
+    if turns.summary:
+        say(turns.summary)
+    return result | {"dead_man": summary, "yaw_held_back": turns.as_json()}
 
 
 def _until(duration_s: float | None, stop_requested: Callable[[], str]) -> Callable[[], bool]:
@@ -146,6 +154,7 @@ def _route(
     links: tuple[Transport, UdpSocket],
     dead_man: DeadManWatch,
     changes: SiteChanges,
+    turns: HeldTurns,
     is_to_end: Callable[[], bool],
 ) -> list[float]:
     """Until it is to end and the vehicle is out of the router's hands; what passing a batch took, microseconds."""
@@ -186,7 +195,7 @@ def _route(
         if (change := changes.take()) is not None:
             refused = change if isinstance(change, str) else router.replace_site(change)
             say(f"the site is not replaced: {refused}" if refused else "the site is replaced")
-        for line in words.look(router, now_us):
+        for line in (*words.look(router, now_us), *turns.look(router)):
             say(line)
         dead_man.hear()
         if dead_man.ended and not told:

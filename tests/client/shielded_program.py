@@ -2,13 +2,15 @@
 
     flightstack sim
     flightstack shield --connect udpin:127.0.0.1:14540 --serve udpout:127.0.0.1:14640 --site site.toml
-    python tests/client/shielded_program.py udpin:127.0.0.1:14640 [HEIGHT_M]
+    python tests/client/shielded_program.py udpin:127.0.0.1:14640 [HEIGHT_M [YAW_DEG_S]]
 
-Takes off and races north and south at 4 m/s, 15 m to each side or as far as the site goes, until Ctrl-C.
+Takes off and races north and south at 4 m/s, 15 m to each side or as far as the site goes, until Ctrl-C; with a yaw
+rate it turns at that on the spot instead.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from typing import Any
@@ -17,7 +19,7 @@ from pymavlink import mavutil
 
 MAV = mavutil.mavlink
 SPEED_MPS, REACH_M, HEIGHT_M = 4.0, 15.0, "2.5"
-POSITION, VELOCITY = 0b1001_1111_1000, 0b1001_1100_0111
+POSITION, VELOCITY, TURN = 0b1001_1111_1000, 0b1001_1100_0111, 0b0101_1100_0111
 OFFBOARD = 6 << 16
 
 
@@ -36,10 +38,10 @@ class Program:
                 return int(heard.get_srcSystem())
         raise TimeoutError("no autopilot heard")
 
-    def ask(self, mask: int, north: float, down: float) -> None:
+    def ask(self, mask: int, north: float, down: float, yaw_radps: float = 0.0) -> None:
         """Send a setpoint, then listen for 20 ms."""
         place = (north, 0.0, down) * 2
-        self.link.mav.set_position_target_local_ned_send(0, self.vehicle, 1, 1, mask, *place, 0, 0, 0, 0, 0)
+        self.link.mav.set_position_target_local_ned_send(0, self.vehicle, 1, 1, mask, *place, 0, 0, 0, 0, yaw_radps)
         ends_s = time.monotonic() + 0.02
         while (left_s := ends_s - time.monotonic()) > 0.0:
             message = self.link.recv_match(type=["HEARTBEAT", "LOCAL_POSITION_NED"], blocking=True, timeout=left_s)
@@ -56,7 +58,7 @@ class Program:
         self.link.mav.command_long_send(self.vehicle, 1, number, 0, *given)
 
 
-def main(address: str, height_m: float) -> None:
+def main(address: str, height_m: float, yaw_degps: float) -> None:
     """Until somebody ends it."""
     program, ticks, sign, fast = Program(address), 0, 1.0, 0.0
     while program.height_m < 0.9 * height_m:
@@ -67,6 +69,8 @@ def main(address: str, height_m: float) -> None:
         elif ticks % 50 == 0 and not program.armed:
             program.command(MAV.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
     print("up", flush=True)
+    while yaw_degps:
+        program.ask(TURN, 0.0, 0.0, math.radians(yaw_degps))
     while True:
         program.ask(VELOCITY, sign * SPEED_MPS, 0.0)
         if sign * program.north_m > REACH_M:
@@ -77,4 +81,5 @@ def main(address: str, height_m: float) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], float((*sys.argv, HEIGHT_M)[2]))
+    height, turn = (*sys.argv[2:4], *(HEIGHT_M, "0")[len(sys.argv) - 2 :])
+    main(sys.argv[1], float(height), float(turn))

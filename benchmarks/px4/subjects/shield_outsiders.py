@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -46,6 +46,8 @@ class Behind:
     px4: Px4
     folder: Path
     north_m: float
+    address: str = ""
+    """Of the vehicle, for the shields."""
     shields: list[subprocess.Popen[bytes]] = field(default_factory=list)
     programs: list[subprocess.Popen[bytes]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -55,16 +57,17 @@ class Behind:
     def shield(self) -> None:
         """Start another one."""
         (self.folder / "field.toml").write_text(SITE.format(north=self.north_m))
-        words = [*self.bench.prefix, sys.executable, "-m", "flightstack", "shield", "--connect", self.px4.address]
+        words = [*self.bench.prefix, sys.executable, "-m", "flightstack", "shield"]
+        words += ["--connect", self.address or self.px4.address]
         words += ["--serve", f"udpout:127.0.0.1:{_PORT}", "--site", str(self.folder / "field.toml")]
         words += ["--vehicle", str(light_vehicle(self.folder)), "--sensors", "px4-sih-ekf"]
         said = (self.folder / f"shield{len(self.shields)}.txt").open("wb")
         self.shields.append(subprocess.Popen(words, stdout=said, stderr=subprocess.STDOUT))
 
-    def program(self) -> None:
+    def program(self, *more: str, program: Path = _PROGRAM) -> None:
         """Start another one."""
         said = (self.folder / f"program{len(self.programs)}.txt").open("wb")
-        words = [sys.executable, str(_PROGRAM), f"udpin:127.0.0.1:{_PORT}", "8"]
+        words = [sys.executable, str(program), f"udpin:127.0.0.1:{_PORT}", "8", *more]
         self.programs.append(subprocess.Popen(words, stdout=said, stderr=subprocess.STDOUT))
 
     def begin(self) -> None:
@@ -129,6 +132,7 @@ class Deed(NamedTuple):
     soft: bool = True
     returns: bool = False
     """PX4's Return climbs above the site."""
+    params: tuple[tuple[str, float], ...] = ()
 
 
 _OFFBOARD, _HOLD = (float(OFFBOARD), 0.0), HOLD
@@ -301,8 +305,13 @@ DEEDS = {
 
 def run(bench: Bench, runs: int) -> list[Row]:
     """Every deed `runs` times, each on a PX4 of its own; `ATTACKS` in the environment names those to fly."""
+    return flown(bench, runs, DEEDS)
+
+
+def flown(bench: Bench, runs: int, deeds: Mapping[str, Deed]) -> list[Row]:
+    """The rows of deeds."""
     wanted = os.environ.get("ATTACKS", "").split(",")
-    return [_row(bench, name, deed, runs) for name, deed in DEEDS.items() if any(word in name for word in wanted)]
+    return [_row(bench, name, deed, runs) for name, deed in deeds.items() if any(word in name for word in wanted)]
 
 
 def _row(bench: Bench, name: str, deed: Deed, runs: int) -> Row:
@@ -317,7 +326,7 @@ def _row(bench: Bench, name: str, deed: Deed, runs: int) -> Row:
 def _flown(bench: Bench, name: str, deed: Deed) -> tuple[list[str], str]:
     """What was wrong, and what was seen."""
     folder = log_folder(bench, "shielded-" + "-".join(name.replace(",", "").split()))
-    with Px4(bench, params={"SIH_MASS": MASS_KG}) as px4:
+    with Px4(bench, params={"SIH_MASS": MASS_KG, **dict(deed.params)}) as px4:
         behind = Behind(bench, px4, folder, deed.north_m)
         try:
             deed.deed(behind)
