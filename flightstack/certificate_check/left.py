@@ -33,8 +33,8 @@ beyond what brakes that adds nothing by itself."""
 _QUICK_MPS3, _FASTEST_BEGUN_MPS3, _LOST_MPS2 = 8.0, 25.0, 1e6
 """Turning beyond which a tube grows with its square; what no way begins with more than; a lean that is never brought
 back, well before its numbers overflow."""
-_SIDE_BY_SIDE, _AT_ONCE = 13_500, 32
-"""Steps of all ways that are looked at side by side, and that are copied at once: more would not fit into memory."""
+_SIDE_BY_SIDE, _AT_ONCE = 21_000, 32
+"""Steps of all ways looked at side by side, and copied at once: more would not fit into memory."""
 _ROUNDS, _SHARES, _ENOUGH, _PASSED_ON = 6, (1.0, 0.4, 0.15), 0.9, 2
 
 
@@ -148,7 +148,7 @@ class _Lanes(NamedTuple):
 
 
 class _Courses(NamedTuple):
-    """Inputs (n, 4, lanes), and what is seen of the force and the errors of place and velocity at first (3, lanes)."""
+    """Inputs (steps, 4, lanes); what is seen at first of the force, errors of place and velocity (3, lanes)."""
 
     inputs: _C
     first: _C
@@ -158,15 +158,15 @@ class _Courses(NamedTuple):
         found = bounds.of(lanes)
         for part, mine in zip(found, self, strict=True):
             for some in _steps(part):
-                here = mine[some][..., lanes]
+                here = mine[some].take(lanes, axis=-1)
                 part[some] -= here
                 part[some] *= share
                 part[some] += here
         return found
 
-    def of(self, lanes: _I | NDArray[np.bool_]) -> _Courses:
+    def of(self, lanes: _I) -> _Courses:
         """Those of some lanes."""
-        return _Courses(self.inputs[..., lanes], self.first[..., lanes])
+        return _Courses(self.inputs.take(lanes, axis=-1), self.first.take(lanes, axis=-1))
 
     def take(self, lanes: _I, other: _Courses, which: _I) -> None:
         """Some of other ones for some lanes, in place."""
@@ -180,7 +180,7 @@ def _steps(of: _C) -> Iterator[slice]:
 
 def _take(mine: _C, lanes: _I, theirs: _C, which: _I) -> None:
     for some in _steps(mine):
-        mine[some][..., lanes] = theirs[some][..., which]
+        mine[some][..., lanes] = theirs[some].take(which, axis=-1)
 
 
 def _sizes(z: Any) -> Any:
@@ -231,10 +231,9 @@ def _snap(x: _C, u: _C, at: _C, loop: Loop) -> _Snap:
     """x (6, lanes): place, velocity, lean, its rate, its snap, what is seen of the force."""
     by_place, by_velocity, lead, damped, late_s = _gains(loop)
     back = by_velocity * (at[1] - x[1] - u[3]) + by_place * (at[0] - x[0] - u[2])
-    size = _sizes(back)
-    share = np.minimum(1.0, _ASKED_SHARE * np.cbrt(loop.snap_mps4 / by_velocity**2 / size))
-    backs = _Part(back, size, share)
-    leant = _bounded(at[2] + share * back - _SEEN_SHARE * x[5], loop.lean_mps2)
+    size, most = _sizes(back), _ASKED_SHARE**3 * loop.snap_mps4 / by_velocity**2
+    backs = _Part(back, size, np.minimum(1.0, np.cbrt(most / size)))
+    leant = _bounded(at[2] + backs.share * back - _SEEN_SHARE * x[5], loop.lean_mps2)
     short = leant.share * leant.z - x[2]
     size, most = _sizes(short), _TURN_SHARE * loop.snap_mps4
     stopped = np.sqrt((most * late_s) ** 2 + 2.0 * most * size) - most * late_s
@@ -262,15 +261,16 @@ def _felt(of: _Part, slope: F64, g: _C) -> _C:
 
 
 def _run(lanes: _Lanes, courses: _Courses, loop: Loop) -> _C:
-    """(n + 1, 6, lanes) states; after a lane's end they are not worked out."""
-    x = np.zeros((len(lanes.laid) + 1, 6, len(lanes.way)), dtype=np.complex128)
+    """(steps + 1, 6, lanes) states; after a lane's end they are not worked out."""
+    x = np.zeros((len(courses.inputs) + 1, 6, len(lanes.way)), dtype=np.complex128)
     begins, first = lanes.laid[0][:, lanes.way], courses.first
     x[0, 0], x[0, 1], x[0, 2] = begins[0] + first[1], begins[1] + first[2], begins[2] - first[0]
     x[0, 3], x[0, 5], follows = begins[3], first[0], 1.0 - np.exp(-_STEP_S / loop.rotors_s)
     for k in range(int(lanes.last.max())):
         m = int(lanes.running[k])
         u, here, after = courses.inputs[k, :, :m], x[k, :, :m], x[k + 1, :, :m]
-        after[4] = here[4] + follows * (_snap(here, u, lanes.laid[k][:, lanes.way[:m]], loop).asked - here[4])
+        snap = _snap(here, u, lanes.laid[k].take(lanes.way[:m], axis=1), loop)
+        after[4] = here[4] + follows * (snap.asked - here[4])
         after[0] = here[0] + _STEP_S * here[1]
         after[1] = here[1] + _STEP_S * (here[2] + u[0] + u[1])
         after[2] = here[2] + _STEP_S * here[3]
@@ -287,7 +287,7 @@ def _uphill(lanes: _Lanes, courses: _Courses, x: _C, toward: _C, loop: Loop) -> 
         m = int(lanes.running[k])
         h, u = g[:, :m], courses.inputs[k, :, :m]
         h[0] = np.where(lanes.last[:m] == k + 1, toward[:m], h[0])
-        snap = _snap(x[k, :, :m], u, lanes.laid[k][:, lanes.way[:m]], loop)
+        snap = _snap(x[k, :, :m], u, lanes.laid[k].take(lanes.way[:m], axis=1), loop)
         by_snap = follows * (h[4] + _STEP_S * h[3])
         up[k, 0, :m], up[k, 1, :m] = _STEP_S * (h[1] + h[5] / _OBSERVER_S), _STEP_S * h[1]
         h[4] = (1.0 - follows) * (h[4] + _STEP_S * h[3])
@@ -361,7 +361,7 @@ def _first_courses(lanes: _Lanes, sizes: F64) -> _Courses:
     gradient points away from the line."""
     half_turns, turned = np.tile(np.array(_COURSES).T, len(lanes.last) // len(_COURSES))
     along, off = np.exp(1j * np.pi * half_turns), np.exp(1j * (np.pi * half_turns + _OFF_RAD))
-    after = np.arange(len(lanes.laid))[:, None] >= (turned * lanes.last)[None, :]
+    after = np.arange(lanes.last.max())[:, None] >= (turned * lanes.last)[None, :]
     force = np.where(after, along, -along * np.exp(-1j * _OFF_RAD))
     inputs: _C = np.stack([force, force, *2 * [np.broadcast_to(-off, force.shape)]], axis=1)
     first = np.stack([-sizes[0] * along, sizes[2] * off, sizes[3] * off]).astype(np.complex128)

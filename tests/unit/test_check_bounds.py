@@ -140,33 +140,40 @@ def test_a_file_of_gigabytes_and_what_is_no_file_are_refused_unread(tmp_path: Pa
             checking.check_file(path)
 
 
+_BOXES = [[-0.6 + 1e-5 * i, 0.6 - 1e-5 * i, -1.2 + 1e-5 * i, 1.2 - 1e-5 * i, 0.0, 0.0] for i in range(6000)]
+WIDE = changed(lambda data: data["axes"][0].update(cells=_BOXES))
+"""As many boxes as are looked at: the dearest certificate of an ellipse."""
+
+
 def test_a_child_that_takes_too_long_or_dies_is_said_to(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = tmp_path / "c.json"
     path.write_text(honest())
-    monkeypatch.setattr(checking, "TIME_LIMIT_S", 0.01)
-    with pytest.raises(InputError, match="no verdict within"):
+    monkeypatch.setattr(checking, "_SHARED", 0.01 / checking.CPU_LIMIT_S)
+    with pytest.raises(InputError, match=r"no verdict within 0\.01 s;"):
         checking.check_file(path)
+    monkeypatch.setattr(checking, "_SHARED", 100.0)
+    monkeypatch.setattr(checking, "CPU_LIMIT_S", 1)
+    with pytest.raises(InputError, match="no verdict within 1 s of processor time"):
+        checking.check_text(WIDE, "slow.json")
     monkeypatch.setattr(checking.sys, "executable", "/bin/false")
     with pytest.raises(InputError, match="without a verdict"):
         checking.check_text("{}", "nothing")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux limits a process' data this way")
-def test_the_child_keeps_below_500_mb(tmp_path: Path) -> None:
+def test_the_child_keeps_below_500_mb() -> None:
     """The dearest texts of 10 MB: many small tables, and as many boxes as are looked at."""
-    wide = [[-0.6 + 1e-5 * i, 0.6 - 1e-5 * i, -1.2 + 1e-5 * i, 1.2 - 1e-5 * i, 0.0, 0.0] for i in range(6000)]
-    dear = ["[" + '{"a":0},' * 1_200_000 + "0]", changed(lambda data: data["axes"][0].update(cells=wide))]
+    dear = ["[" + '{"a":0},' * 1_200_000 + "0]", WIDE]
     script = (
         "import sys; from flightstack.cli import checking; checking.main(sys.argv[1:]); "
         "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
     )
     for text in dear:
-        path = tmp_path / "c.json"
-        path.write_text(text)
         done = subprocess.run(
-            [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True,
-            env=os.environ | checking._ONE_THREAD,
+            [sys.executable, "-c", script, str(checking.CPU_LIMIT_S)], input=text, capture_output=True, text=True,
+            check=True, env=os.environ | checking._ONE_THREAD,
         )  # fmt: skip
         verdict, resident_kb = done.stdout.splitlines()  # not ru_maxrss: a child inherits its parent's
         assert not json.loads(verdict)["valid"]
+        assert "JSON" not in verdict  # it was read
         assert int(resident_kb) < 500_000
