@@ -8,7 +8,8 @@ for as long as setpoints come.
 The program's silence for SILENT_US, or OFFBOARD entered where no way out is clear: the vehicle stops and holds; after
 HOLDS_US of that it is handed over to PX4's Hold.  The router never selects OFFBOARD, arms or takes a mode away from a
 pilot: outside OFFBOARD, while the program speaks, it asks for level flight, so that PX4 may enter OFFBOARD.  Only where
-the router itself stood still and the dead-man commanded Hold meanwhile does it take OFFBOARD back, as `Stalls` allows.
+the router itself stood still and the dead-man commanded Hold meanwhile does it take OFFBOARD back, or land a vehicle
+that has not risen (`shield_stall`).
 Whatever ends it hands the vehicle over first.
 
 A vehicle that restarts ends it (`ended`): its local frame, so the site's place, and its gains may be others.
@@ -16,6 +17,7 @@ A vehicle that restarts ends it (`ended`): its local frame, so the site's place,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +26,7 @@ import numpy as np
 
 from flightstack.cli.shield_controller import Relay, hold_of, is_whole, reference_of
 from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, without
+from flightstack.cli.shield_stall import AfterStall
 from flightstack.cli.site import TimedSiteFilter
 from flightstack.geodesy import LocalFrame
 from flightstack.predictor import predict, sampled
@@ -42,7 +45,7 @@ from mavlink_bridge.framing import Frame
 from mavlink_bridge.last_word import record_of
 from mavlink_bridge.link import Link
 from mavlink_bridge.requests import CommandQueue, set_mode
-from mavlink_bridge.stalls import RETAKE_LIMIT_US, Stalls
+from mavlink_bridge.stalls import Stalls
 from mavlink_bridge.vehicle_view import VehicleView
 from mavlink_bridge.voice import Voice, yaw_of
 
@@ -111,8 +114,7 @@ class ShieldRouter:
         self._stamps: set[int] = set()
         self._measurement: Measurement | None = None
         self._t_us = 0
-        self.stalls = Stalls()
-        """The dead-man's deeds."""
+        self.after_stall = AfterStall(self.view, self._commands)
         self.has_spoken = False
         """Whether a setpoint went out in the newest step."""
         self._is_alone = False
@@ -120,8 +122,6 @@ class ShieldRouter:
         self.ended = ""
         """Why nothing is flown any more; empty while all is well."""
         self._newest_us = self._back = 0
-        self._retaking_us = -1
-        """Since when OFFBOARD is being taken back; -1: it is not."""
         self._flies = self._is_certain = self._is_laid = self._asks_hold = False
         """Certain: a way out was committed since the stack began to fly.  Laid: the site no longer moves."""
 
@@ -149,7 +149,7 @@ class ShieldRouter:
                     self.system = self._voice.system = received.system
             if received.system == self.system and received.component == px4.COMPONENT_AUTOPILOT:
                 if isinstance(message, m.CommandAck) and message.target_system == self.link.system:
-                    self._commands.acknowledge(message)
+                    self.after_stall.acknowledge(message, now_us)
                 elif not isinstance(message, m.Timesync) or message.ts1_ns in self._stamps:
                     self.view.update(message, now_us)
                     self._place(message)
@@ -170,7 +170,7 @@ class ShieldRouter:
         self._back = self._back + 1 if message.t_us < self._newest_us - _BACK_US else 0
         self._newest_us = max(self._newest_us, message.t_us)
         if self._back >= _BACK_TIMES and not self.ended:
-            self._flies, self._retaking_us = False, -1
+            self._flies, self.after_stall.since_us = False, -1
             self.ended = (
                 "the vehicle restarted: where the site lies and its gains may have changed; start the shield anew"
             )
@@ -210,6 +210,11 @@ class ShieldRouter:
     # ---------------------------------------------------------------- stalls and ends
 
     @property
+    def stalls(self) -> Stalls:
+        """The dead-man's deeds."""
+        return self.after_stall.stalls
+
+    @property
     def flies(self) -> bool:
         """Whether the vehicle goes by the router's setpoints."""
         return self._flies
@@ -222,7 +227,7 @@ class ShieldRouter:
 
     def last_word(self, sent_us: int) -> CompanionRecord:
         """What the dead-man has to know if nothing follows; `sent_us`: local time of what was sent last."""
-        active = self._flies or self._retaking_us >= 0
+        active = self._flies or self.after_stall.is_taking_back
         flags = ACTIVE * active | IN_OFFBOARD * (active and self.view.in_offboard)
         thrust = 0.0 if self.view.on_ground else self._carrying_norm()
         return record_of(self._voice, self.link, self._measurement, thrust, flags, (sent_us, self._t_us))
@@ -250,24 +255,6 @@ class ShieldRouter:
         model = self._stack.model
         return model.norm_of(self._state.carried_n if self._state else model.weight_n)
 
-    def _take_back(self, now_us: int) -> None:
-        """OFFBOARD again after a short stall whose Hold was the dead-man's alone, while the program speaks."""
-        if self.stalls.is_held:
-            refused = self.stalls.judge(now_us, is_taking_back=self._retaking_us >= 0)
-            self._retaking_us = -1 if refused else now_us
-        if self._retaking_us < 0:
-            return
-        settled, ours = self.stalls.hold_is_settled(self.view), self.stalls.own_hold(self.view.custom_mode)
-        over = now_us - self._retaking_us > RETAKE_LIMIT_US or now_us - self._wish_us > SILENT_US
-        blind = self._is_blind(self.view.clock.vehicle_us(now_us))
-        if self.view.in_offboard and (settled or self.stalls.hold_was_lost(self.view)):
-            self.stalls.is_back(now_us)
-            self._retaking_us = -1
-        elif over or (settled and not ours):
-            self._retaking_us = -1
-        elif settled and not blind:
-            self._commands.ensure(set_mode(px4.MODE_OFFBOARD), now_us)
-
     # ---------------------------------------------------------------- step
 
     def step(self, now_us: int) -> list[bytes]:
@@ -275,7 +262,8 @@ class ShieldRouter:
         self.has_spoken = False
         if self.system and not self.ended:
             self._keep_in_touch(now_us)
-            self._take_back(now_us)
+            speaks, blind = now_us - self._wish_us <= SILENT_US, self._is_blind(self.view.clock.vehicle_us(now_us))
+            self.after_stall.step(now_us, speaks=speaks, is_blind=blind, height_m=self._height_m)
             self._fly(now_us)
             if self._is_alone and self.view.params.needs_dead_man:
                 self.hand_over(now_us)
@@ -342,6 +330,13 @@ class ShieldRouter:
         assert self._state is not None
         self._tick(self._state, measurement, self._wish if not silent else None, t_us, now_us)
 
+    @property
+    def _height_m(self) -> float:
+        """Above the place of arming; NaN where that is not known."""
+        if self._measurement is None or self.origin_ned_m is None:
+            return math.nan
+        return float(self.origin_ned_m[2] - self._measurement.pos_ned_m[2])
+
     def _origin(self, rest_ned_m: F64) -> F64:
         """Where the site is laid out from: where the vehicle rests; of a site on the globe the place that it was laid
         out round, which ends the router where the vehicle was carried farther from it than its chute has room."""
@@ -364,7 +359,7 @@ class ShieldRouter:
         if self.view.on_ground or not self.view.armed:
             self._voice.stand(t_us)
         else:  # body rates where they will follow: PX4 takes 0.16 s to change from attitudes to them
-            heading = None if self._retaking_us >= 0 else yaw_of(measurement.q_ned_frd)
+            heading = None if self.after_stall.is_taking_back else yaw_of(measurement.q_ned_frd)
             self._voice.calm(t_us, self._carrying_norm(), heading)
 
     def _tick(
