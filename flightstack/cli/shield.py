@@ -25,6 +25,7 @@ from flightstack.cli.result import percentiles
 from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
 from flightstack.cli.shield_frames import is_mavlink
+from flightstack.cli.shield_passing import Passing
 from flightstack.cli.shield_router import ShieldRouter
 from flightstack.cli.shield_turns import HeldTurns
 from flightstack.cli.shield_words import ShieldWords
@@ -50,8 +51,6 @@ from mavlink_bridge.transport.udp import UdpSocket
 PERIOD_US = 4_000
 PORT_STEP = 40
 _SCENARIO = "hover"
-_MOST_AT_ONCE = 32
-"""Datagrams of the program between two looks at the clock: whatever it pours out, the vehicle gets its setpoints."""
 _GONE_US = 2_000_000
 """A program that was silent for so long has gone (its heartbeats come each second): another may take its place."""
 _HAND_OVER_US = 2_000_000
@@ -159,39 +158,28 @@ def _route(
 ) -> list[float]:
     """Until it is to end and the vehicle is out of the router's hands; what passing a batch took, microseconds."""
     vehicle, program = links
-    latencies: list[float] = []
+    passing = Passing(router, vehicle, program)
     next_us, ends_us, told = monotonic_us(), 0, False
     words = ShieldWords()
     heard_us = next_us
     while True:
         select([vehicle.fileno(), program.fileno()], [], [], max(next_us - monotonic_us(), 0) * 1e-6)
-        came = time.perf_counter_ns()
-        now_us, passed = monotonic_us(), 0
-        for data in vehicle.receive_all():
-            for kept in router.from_vehicle(data, now_us):
-                program.send(kept)
-                passed += 1
-        for data in program.receive_all(_MOST_AT_ONCE):
-            heard_us = now_us
-            for kept in router.from_program(data, now_us):
-                vehicle.send(kept)
-                passed += 1
-        if passed and len(latencies) < 1_000_000:
-            latencies.append((time.perf_counter_ns() - came) * 1e-3)
+        came_ns, now_us = time.perf_counter_ns(), monotonic_us()
+        heard_us = now_us if passing.step(now_us, came_ns) else heard_us
         if now_us < next_us:
             continue
         next_us = max(next_us + PERIOD_US, now_us)
         if now_us - heard_us > _GONE_US:
             program.unlatch()
         if router.ended:
-            return latencies
+            return passing.latencies_us
         if is_to_end():
             ends_us = ends_us or now_us + _HAND_OVER_US
             if router.hand_over(now_us):
-                return latencies
+                return passing.latencies_us
             if now_us > ends_us:
                 say(f"the vehicle did not take Hold within {1e-6 * _HAND_OVER_US:g} s: left to its own failsafe")
-                return latencies
+                return passing.latencies_us
         if (change := changes.take()) is not None:
             refused = change if isinstance(change, str) else router.replace_site(change)
             say(f"the site is not replaced: {refused}" if refused else "the site is replaced")

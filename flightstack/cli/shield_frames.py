@@ -29,6 +29,19 @@ def is_mavlink(data: bytes) -> bool:
     return bool(data) and isinstance(frame_at(data, 0, _EXTRAS), Frame)
 
 
+def is_one_frame(data: bytes, but: int) -> bool:
+    """Whether a datagram is as long as the one frame that its head tells of, and that of another message than `but`.
+
+    Cheap: nothing is decoded, no CRC looked at.
+    """
+    if len(data) < HEADER_SIZE:
+        return False
+    if data[0] == MAGIC_V2:
+        size = HEADER_SIZE + data[1] + CRC.size + SIGNATURE_SIZE * (data[2] & 1)
+        return size == len(data) and int.from_bytes(data[7:10], "little") != but
+    return data[0] == MAGIC_V1 and 6 + data[1] + CRC.size == len(data) and data[5] != but
+
+
 def without(data: bytes, is_taken: Callable[[Frame, bytes], bool], *, whole: bool) -> list[bytes]:
     """The datagram without the frames that are taken; the very same bytes where none is.
 

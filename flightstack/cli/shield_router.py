@@ -53,7 +53,7 @@ SILENT_US = 500_000
 HOLDS_US = 5_000_000
 _STREAMS = ((m.AttitudeQuaternion, 4_000), (m.LocalPositionNed, 8_000), (m.HighresImu, 4_000), (m.CurrentMode, 20_000),
             (m.ExtendedSysState, 100_000))  # fmt: skip
-_TIMESYNC_ID = m.id_of(m.Timesync)
+TIMESYNC_ID = m.id_of(m.Timesync)
 _AGAIN_US = 2_000_000
 _HEARTBEAT_US, _TIMESYNC_US = 1_000_000, 100_000
 _STALE_US = 100_000
@@ -180,7 +180,7 @@ class ShieldRouter:
         return without(data, lambda frame, payload: self._take_setpoint(frame, payload, now_us), whole=True)
 
     def _is_own_answer(self, frame: Frame, payload: bytes) -> bool:
-        if frame.id != _TIMESYNC_ID:
+        if frame.id != TIMESYNC_ID:
             return False
         message: Any = decoded(frame, payload)
         return message is not None and message.tc1_ns != 0 and message.ts1_ns in self._stamps

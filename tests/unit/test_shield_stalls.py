@@ -16,6 +16,7 @@ from mavlink_bridge.dead_man_frames import NOBODY, DeadManRecord
 from mavlink_bridge.link import Link
 from mavlink_bridge.messages import CommandLong
 from mavlink_bridge.requests import set_mode
+from tests.thorough import ONLY_THEN
 
 NAN = float("nan")
 TICK_US, HELD_AFTER_US = 4_000, 68_000
@@ -110,6 +111,7 @@ def test_too_long_a_stall_on_the_ground_leaves_nothing_armed(rig: Stalled) -> No
     assert not rig.server.commander.state.armed, "the program asked once"
 
 
+@ONLY_THEN
 def test_a_short_one_is_taken_back_and_flown(rig: Stalled) -> None:
     rig.arms(0.1)
     rig.stalls(0.3, 0.1)
