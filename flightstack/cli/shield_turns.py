@@ -18,8 +18,9 @@ _SHORT = 0.8
 """Flown over asked rate, above which a program has what it wants."""
 _LEAST_RADPS = math.radians(5.0)
 """A rate below is nobody's wish but noise."""
-_MOST_OF = 0.9
-"""Share of a window's ticks in which the governor must have cut the rate."""
+_CUT_SHARE, _ONE_WAY_SHARE = 0.5, 0.9
+"""Of a window's ticks: in which the governor cut the rate (a noisy gyro leaves some that it did not), and that ask for
+the same way round."""
 _GAP_US = 100_000
 _SETTLED_US = 1_000_000
 """Of a window's end, in which the flown rate is looked at: before, it rises."""
@@ -77,8 +78,8 @@ class HeldTurns:
     def _judge(self, t_us: int) -> list[str]:
         ticks, began_us = self._ticks, self._began_us
         turn = HeldTurn(self._asked / ticks, self._flown / self._late) if self._late else HeldTurn(0.0, 0.0)
-        one_way = abs(self._sign) > _MOST_OF * ticks
-        is_held = one_way and self._cut > _MOST_OF * ticks and turn.asked_radps > _LEAST_RADPS
+        one_way = abs(self._sign) > _ONE_WAY_SHARE * ticks
+        is_held = one_way and self._cut > _CUT_SHARE * ticks and turn.asked_radps > _LEAST_RADPS
         is_held = is_held and turn.flown_radps < _SHORT * turn.asked_radps
         self._begin(t_us)
         was_on, self._is_on = self._is_on, is_held

@@ -55,8 +55,7 @@ def _stalls_while_arming(*stalls: tuple[float, float]) -> Callable[[Behind], Non
             b.shields[-1].send_signal(signal.SIGSTOP)
             time.sleep(stalled_s)
             b.shields[-1].send_signal(signal.SIGCONT)
-        time.sleep(5.0)
-        if b.px4.height_m < 1.0 and b.px4.armed:
+        if not b.px4.wait(lambda: b.px4.height_m > 1.5 or not b.px4.armed, 15.0):
             b.notes.append("left armed on the ground")
 
     return deed
@@ -159,7 +158,7 @@ _RATES = tuple(
     for axis, (gain, value) in itertools.product(("ROLL", "PITCH"), (("P", 0.45), ("I", 0.6)))
 )
 DEEDS = {
-    "a turn of 40 deg/s": Deed(_turns, "asks to turn at 40 deg/s"),
+    "a turn of 40 degrees a second": Deed(_turns, "turning was held back"),
     "stopped for 0.3 s as the motors turn": Deed(_stalls_while_arming((0.0, 0.3))),
     "stopped for 0.7 s as the motors turn": Deed(_stalls_while_arming((0.0, 0.7))),
     "stopped for 0.7 s as it is about to climb": Deed(_stalls_while_arming((0.6, 0.7))),
