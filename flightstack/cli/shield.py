@@ -26,12 +26,13 @@ from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
 from flightstack.cli.shield_frames import is_mavlink
 from flightstack.cli.shield_passing import Passing
+from flightstack.cli.shield_premises import Premises
 from flightstack.cli.shield_router import ShieldRouter
 from flightstack.cli.shield_turns import HeldTurns
 from flightstack.cli.shield_words import ShieldWords
 from flightstack.cli.site import envelope, given_prior, load_site, plan_site
 from flightstack.cli.site_change import SiteChanges
-from flightstack.cli.vehicle_gains import ask_gains, changed, tuned
+from flightstack.cli.vehicle_gains import ask_gains, changed, counted_on, tuned
 from flightstack.cli.vehicle_site import ask_vehicle, unknowing
 from flightstack.governor import Governor
 from flightstack.model import Model
@@ -123,6 +124,7 @@ def shield(
     router = ShieldRouter(stack, relay, refiner, place, lambda view: unknowing(view, bounds, options.sensors))
     governed = stack.filter.governed(None)  # of a site the same in every state
     turns = HeldTurns(governed.yaw_max if governed else math.inf)
+    router.premises = Premises(counted_on(tuned(file, gains)))
     began_us = monotonic_us()
     with ExitStack() as opened:
         opened.enter_context(undisturbed(real_time=True))
@@ -139,7 +141,11 @@ def shield(
     result = result_of(router, options, latencies, 1e-6 * (monotonic_us() - began_us))
     if turns.summary:
         say(turns.summary)
-    return result | {"dead_man": summary, "yaw_held_back": turns.as_json()}
+    return result | {
+        "dead_man": summary,
+        "yaw_held_back": turns.as_json(),
+        "gains_changed": sorted(router.premises.changed),
+    }
 
 
 def _until(duration_s: float | None, stop_requested: Callable[[], str]) -> Callable[[], bool]:
@@ -183,7 +189,7 @@ def _route(
         if (change := changes.take()) is not None:
             refused = change if isinstance(change, str) else router.replace_site(change)
             say(f"the site is not replaced: {refused}" if refused else "the site is replaced")
-        for line in (*words.look(router, now_us), *turns.look(router)):
+        for line in (*words.look(router, now_us), *turns.look(router), *router.premises.look()):
             say(line)
         dead_man.hear()
         if dead_man.ended and not told:

@@ -26,6 +26,7 @@ import numpy as np
 
 from flightstack.cli.shield_controller import Relay, hold_of, is_whole, reference_of
 from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, without
+from flightstack.cli.shield_premises import Premises
 from flightstack.cli.shield_stall import AfterStall
 from flightstack.cli.site import TimedSiteFilter
 from flightstack.geodesy import LocalFrame
@@ -97,6 +98,8 @@ class ShieldRouter:
         self.system = 0
         self.record: TickRecord | None = None
         """Of the last tick in OFFBOARD."""
+        self.premises = Premises({})
+        """What the site's certificate counts on."""
         self.origin_ned_m: F64 | None = None
         """Where the vehicle was armed first: the site stays where it is when the program lands and takes off again."""
         self._stack, self._relay, self._refiner, self._asked_place = stack, relay, refiner, place
@@ -157,11 +160,13 @@ class ShieldRouter:
         return without(data, self._is_own_answer, whole=False) if has_own else [data]  # each frame twice takes time
 
     def _place(self, message: object) -> None:
-        """Where local frame and home lie on the globe."""
+        """Where local frame and home lie on the globe; and the gains."""
         if isinstance(message, m.GpsGlobalOrigin):
             self._globe = LocalFrame(message.lat_deg, message.lon_deg, message.alt_msl_m)
         elif isinstance(message, m.HomePosition):
             self._home_m = message.alt_msl_m
+        elif isinstance(message, m.ParamValue):
+            self.premises.take(message)
 
     def _note_boot(self, message: object) -> None:
         """Whether the vehicle's clock began anew."""

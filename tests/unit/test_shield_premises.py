@@ -1,0 +1,38 @@
+"""Gains that a ground station changes in flight are told: on a real PX4 the shield flew on with three times its rate
+gains, changed three commands of five, and said nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from shield_rig import SITE, Rig, position
+
+from flightstack.cli.shield_premises import Premises
+from flightstack.cli.vehicle_gains import counted_on
+from mavlink_bridge import messages as m
+
+REAL32 = 9
+
+
+def test_what_the_program_sets_through_the_shield_is_told_once_and_so_is_its_end(tmp_path: Path) -> None:
+    site = tmp_path / "room.toml"
+    site.write_text(SITE)
+    rig = Rig(site)
+    rig.router.premises = Premises(counted_on(rig.believed))
+    rig.say = lambda: position(0.0, 0.0, -2.0)
+    rig.run(3.0)
+
+    def told(name: str, value: float) -> list[str]:
+        rig.program.send(m.ParamSet(1, 1, name, m.param_bits(value, REAL32), REAL32))
+        rig.run(0.5)
+        return rig.router.premises.look()
+
+    assert not told("MPC_XY_VEL_MAX", 3.0), "nothing counts on it"
+    (line,) = told("MC_ROLLRATE_P", 0.45)
+    assert line.startswith("MC_ROLLRATE_P is 0.45 now, the site's certificate counts on 0.15: ")
+    assert not told("MC_ROLLRATE_P", 0.45)
+    assert len(told("THR_MDL_FAC", 0.5)) == 1
+    (line,) = told("MC_ROLLRATE_P", 0.15)
+    assert "is 0.15 again" in line
+    assert line.endswith("THR_MDL_FAC still not")
+    assert rig.router.premises.changed == {"MC_ROLLRATE_P", "THR_MDL_FAC"}
