@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 import random
 import socket
 import threading
@@ -21,6 +22,8 @@ class Manner(NamedTuple):
     """As much more at most, both ways: what was sent later may come sooner."""
     lost: float = 0.0
     doubled: float = 0.0
+    burst_s: float = 0.0
+    """Both ways what comes is kept back until the next multiple of this, as a radio that sleeps does."""
     up_cut: bool = False
     down_cut: bool = False
 
@@ -74,6 +77,8 @@ class Relay:
         if (manner.up_cut if upwards else manner.down_cut) or draw.random() < manner.lost:
             return []
         now_s = time.monotonic() + (manner.up_s if upwards else manner.down_s)
+        if manner.burst_s:
+            now_s = math.ceil(now_s / manner.burst_s) * manner.burst_s
         return [now_s + draw.random() * manner.jitter_s for _ in range(2 if draw.random() < manner.doubled else 1)]
 
 

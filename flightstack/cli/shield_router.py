@@ -28,6 +28,7 @@ from flightstack.cli.shield_controller import Relay, hold_of, is_whole, referenc
 from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, without
 from flightstack.cli.shield_premises import Premises
 from flightstack.cli.shield_stall import AfterStall
+from flightstack.cli.shield_streams import COMMAND_IDS, Streams
 from flightstack.cli.site import TimedSiteFilter
 from flightstack.geodesy import LocalFrame
 from flightstack.predictor import predict, sampled
@@ -52,10 +53,7 @@ from mavlink_bridge.voice import Voice, yaw_of
 
 SILENT_US = 500_000
 HOLDS_US = 5_000_000
-_STREAMS = ((m.AttitudeQuaternion, 4_000), (m.LocalPositionNed, 8_000), (m.HighresImu, 4_000), (m.CurrentMode, 20_000),
-            (m.ExtendedSysState, 100_000))  # fmt: skip
 TIMESYNC_ID = m.id_of(m.Timesync)
-_AGAIN_US = 2_000_000
 _HEARTBEAT_US, _TIMESYNC_US = 1_000_000, 100_000
 _STALE_US = 100_000
 _BACK_US, _BACK_TIMES = 1_000_000, 10
@@ -113,10 +111,11 @@ class ShieldRouter:
         self._globe: LocalFrame | None = None
         self._home_m = 0.0
         self._rest, self._rested = np.zeros(3), 0
-        self._heartbeat_us = self._timesync_us = self._asked_us = -1_000_000_000
+        self._heartbeat_us = self._timesync_us = -1_000_000_000
         self._stamps: set[int] = set()
         self._measurement: Measurement | None = None
         self._t_us = 0
+        self._streams = Streams(self.view, self._commands)
         self.after_stall = AfterStall(self.view, self._commands)
         self.has_spoken = False
         """Whether a setpoint went out in the newest step."""
@@ -192,6 +191,8 @@ class ShieldRouter:
 
     def _take_setpoint(self, frame: Frame, payload: bytes, now_us: int) -> bool:
         """Whether a frame was a setpoint: then it goes no further, to whomever it is; for this vehicle it counts."""
+        if frame.id in COMMAND_IDS:
+            self._streams.note(decoded(frame, payload))
         if frame.id not in SETPOINT_IDS:
             return False
         message: Any = decoded(frame, payload)
@@ -286,22 +287,7 @@ class ShieldRouter:
             self._stamps.add(now_us * 1000)
             self.link.send(m.Timesync(0, now_us * 1000, self.system, px4.COMPONENT_AUTOPILOT))
         self.view.params.ask(self.link, self.system, now_us)
-        if now_us - self._asked_us < _AGAIN_US:
-            return
-        self._asked_us = now_us
-        if self._globe is None:
-            for one in (m.GpsGlobalOrigin, m.HomePosition):
-                self._commands.request((px4.Cmd.REQUEST_MESSAGE, (float(m.id_of(one)),)), now_us)
-        if self._is_slow(now_us):
-            for kind, interval_us in _STREAMS:
-                what = (float(m.id_of(kind)), float(interval_us))
-                self._commands.request((px4.Cmd.SET_MESSAGE_INTERVAL, what), now_us)
-
-    def _is_slow(self, now_us: int) -> bool:
-        """Whether the streams are slower than the stack needs (a program may ask for slower ones)."""
-        streams, t_us = self.view.streams, self.view.clock.vehicle_us(now_us)
-        oldest = min(streams.attitude_us, streams.position_us, streams.imu_us)
-        return oldest < 0 or t_us - oldest > 30_000 or self.view.landed_state == 0
+        self._streams.ask(now_us, lacks_place=self._globe is None)
 
     def _fly(self, now_us: int) -> None:
         t_us = self._t_us = self.view.clock.vehicle_us(now_us)

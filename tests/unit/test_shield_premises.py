@@ -36,3 +36,19 @@ def test_what_the_program_sets_through_the_shield_is_told_once_and_so_is_its_end
     assert "is 0.15 again" in line
     assert line.endswith("THR_MDL_FAC still not")
     assert rig.router.premises.changed == {"MC_ROLLRATE_P", "THR_MDL_FAC"}
+
+
+def test_a_program_that_asks_for_slow_streams_does_not_blind_the_shield(tmp_path: Path) -> None:
+    """A real PX4 obeyed it: attitude once a second, nothing flown, the dead-man's Hold."""
+    site = tmp_path / "room.toml"
+    site.write_text(SITE)
+    rig = Rig(site)
+    rig.take_off()
+    for seconds in (0.4, 1.1, 2.3):
+        for number in (31, 32, 105):  # ATTITUDE_QUATERNION, LOCAL_POSITION_NED, HIGHRES_IMU
+            rig.command(511, float(number), 1e6)
+        silent = 0
+        for _ in range(round(250 * seconds)):
+            rig.run(0.004)
+            silent += not rig.router.has_spoken
+        assert not silent, "ticks without a setpoint"
