@@ -9,7 +9,7 @@ accelerometer says what the vehicle did meanwhile.  A Kalman filter for each axi
     zv = v + ev             velocity as reported
 
 ea is mostly the attitude's error, so the attitude is turned by the small angle that takes its part across the specific
-force out.  The gains and the variances that remain are the fixed point of the Riccati recursion at the streams' rate.
+force out.  The gains and the variances that remain are the solution of the Riccati equation at the streams' rate.
 A reported state that is farther from the expected one than _GATE standard deviations (a reset that nobody announced, a
 fault), or a gap, begins anew with what is reported: nothing is held back from whoever watches the streams.
 
@@ -23,6 +23,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from flightstack.error_statistics import ErrorStatistics
 from flightstack.frames import quat_from_rotation_vector, quat_multiply, rotate
@@ -34,7 +35,6 @@ SAMPLE_S = 0.008
 _GAP_MAX_US = 50_000
 """Older positions, and longer gaps between ticks, begin anew."""
 _GATE = 8.0
-_STEPS = 4000
 _P, _V, _EP, _EV, _EA = range(5)
 
 
@@ -66,14 +66,10 @@ def _riccati(s: ErrorStatistics, axis: int, dt: float) -> tuple[F64, F64]:
     noise[:2, :2] += density * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
     seen = np.array([[1.0, 0.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0]])
     least = 1e-6 * np.diag(sigma[:2] ** 2 + 1e-12)
-    p = np.diag([*(sigma[:2] ** 2), *(sigma**2)])
-    gain = np.zeros((5, 2))
-    for _ in range(_STEPS):
-        p = step @ p @ step.T + noise
-        gain = p @ seen.T @ np.linalg.inv(seen @ p @ seen.T + least)
-        kept = np.eye(5) - gain @ seen
-        p = kept @ p @ kept.T + gain @ least @ gain.T
-    return gain, p
+    p = solve_discrete_are(step.T, seen.T, noise, least)
+    gain = p @ seen.T @ np.linalg.inv(seen @ p @ seen.T + least)
+    kept = np.eye(5) - gain @ seen
+    return gain, kept @ p @ kept.T + gain @ least @ gain.T
 
 
 class StateObserver:

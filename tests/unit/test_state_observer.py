@@ -14,13 +14,34 @@ from measured import measured as measured_at
 
 from flightstack.barrier.estimate_bounds import K_SIGMA, estimate_bounds
 from flightstack.cli.sensors import error_statistics
-from flightstack.state_observer import StateObserver, steady
+from flightstack.state_observer import SAMPLE_S, StateObserver, steady
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_sim.estimator import EstimatorModel
 from flightstack_sim.grade import load_grade
 
 DT_S = 0.004
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def test_two_minutes_of_samples_change_neither_gains_nor_variances() -> None:
+    """They are constant: variances of GPS that still shrank by 6e-6 were those after 32 s."""
+    statistics = error_statistics(load_grade("gps"))
+    gains, covariances = (each[0] for each in steady(statistics))
+    fades = np.exp(-SAMPLE_S / np.array([statistics.pos_time_s, statistics.vel_time_s, statistics.acc_time_s]))
+    own = np.square([statistics.pos_std_m[0], statistics.vel_std_mps[0], statistics.acc_std_mps2[0]])
+    moves = np.diag([1.0, 1.0, *fades])
+    moves[0, 1], moves[0, 4], moves[1, 4] = SAMPLE_S, -0.5 * SAMPLE_S**2, -SAMPLE_S
+    drive, seen = np.diag([0.0, 0.0, *(own * (1.0 - fades**2))]), np.array([[1.0, 0, 1, 0, 0], [0, 1.0, 0, 1, 0]])
+    density = statistics.acc_noise_mps2_rthz[0] ** 2
+    drive[:2, :2] += density * np.array([[SAMPLE_S**3 / 3.0, SAMPLE_S**2 / 2.0], [SAMPLE_S**2 / 2.0, SAMPLE_S]])
+    p, noise, gain = covariances, 1e-6 * np.diag(own[:2]), gains
+    for _ in range(15_000):
+        p = moves @ p @ moves.T + drive
+        gain = p @ seen.T @ np.linalg.inv(seen @ p @ seen.T + noise)
+        p = (np.eye(5) - gain @ seen) @ p
+    scale = np.sqrt(np.outer(np.diag(covariances), np.diag(covariances)))
+    assert np.abs((p - covariances) / scale).max() < 1e-8
+    assert gain == pytest.approx(gains, abs=1e-8)
 
 
 def motion(t: float) -> tuple[F64, F64, F64]:
