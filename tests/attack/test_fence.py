@@ -231,7 +231,7 @@ def test_a_heavy_vehicle_that_turns_slowly_is_kept_as_well(tmp_path: Path) -> No
     assert row["changed"] > 0
 
 
-@pytest.mark.parametrize(("seed", "seconds", "times"), [(975010, 2.0, 1.5), thorough(980007, 3.5, 2.5)])
+@pytest.mark.parametrize(("seed", "seconds", "times"), [thorough(975010, 2.0, 1.5), thorough(980007, 3.5, 2.5)])
 def test_slow_rotors_and_little_snap_are_known(tmp_path: Path, seed: int, seconds: float, times: float) -> None:
     """Rotors of 63 ms, for which PX4 flies a third of the default gains; 37 m/s^4 of snap: both left their sites.
 

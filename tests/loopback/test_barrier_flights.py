@@ -19,6 +19,7 @@ from flightstack.cli.main import main
 from flightstack.cli.result import FlightResult
 from flightstack_logs.reader import Log, read
 from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE
+from tests.thorough import ONLY_THEN
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -172,6 +173,7 @@ def test_with_the_papers_learner_of_the_state_alone_it_claims_what_physics_refut
     assert 0.999 / 0.6 / ((1.4 * np.hypot(1.0, 0.1) - 1.0) * 9.80665) <= mu < 0.6
 
 
+@ONLY_THEN
 def test_a_filtered_flight_is_the_same_again_byte_for_byte(folder: Path) -> None:
     for name in ("a", "b"):
         given = folder / "small.json"

@@ -141,7 +141,7 @@ def test_a_second_stall_within_ten_seconds_ends_in_hold(flight: GuardedFlight) -
     assert flight.mode == "Hold"
 
 
-@pytest.mark.parametrize("steps", [1, 3])
+@pytest.mark.parametrize("steps", [1, thorough(3)])
 def test_a_stall_while_offboard_is_being_taken_back_begins_that_again(flight: GuardedFlight, steps: int) -> None:
     """In Hold still, or just out of it: the second silence finds a Hold that is nobody else's."""
     flight.stand_still(0.1)
@@ -155,7 +155,7 @@ def test_a_stall_while_offboard_is_being_taken_back_begins_that_again(flight: Gu
     assert not flight.dead_man.record.touched  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("mode", [(4.0, 5.0), (3.0, 0.0)])
+@pytest.mark.parametrize("mode", [(4.0, 5.0), thorough((3.0, 0.0))])
 def test_a_pilot_who_takes_over_while_offboard_is_being_taken_back_keeps_the_vehicle(
     flight: GuardedFlight, mode: tuple[float, float]
 ) -> None:
@@ -184,7 +184,7 @@ def test_a_pilot_who_selects_hold_between_two_stalls_keeps_the_vehicle(flight: G
     assert flight.mode == "Hold"
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.045])
+@pytest.mark.parametrize("delay_s", [thorough(0.0), 0.045])
 def test_a_pilot_who_changes_the_mode_before_the_dead_man_acts_is_never_fought(
     flight: GuardedFlight, delay_s: float
 ) -> None:

@@ -14,6 +14,7 @@ from benchmarks.faults import fly_fault
 from flightstack.cli.flight import FlyOptions, fly
 from flightstack.cli.main import main
 from mavlink_bridge.handshake import State
+from tests.thorough import ONLY_THEN
 
 CYCLE_S = 0.1
 WATCHDOGS_S = 5.0
@@ -103,6 +104,7 @@ def test_delay_doubles_disorder_and_damage_together_end_no_flight(tmp_path: Path
     assert result["tracking"]["max_m"] < 0.15
 
 
+@ONLY_THEN
 def test_the_same_seed_flies_the_same_bad_link_bit_for_bit(tmp_path: Path) -> None:
     def figures(folder: str) -> object:
         options = FlyOptions(scenario="hover", duration_s=1.0, fault="link-degraded", out=tmp_path / folder, seed=4)

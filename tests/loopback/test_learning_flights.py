@@ -12,6 +12,7 @@ from flightstack.cli.flight import FlyOptions, fly
 from flightstack.cli.result import FlightResult
 from flightstack.control.gains import FlatnessGains
 from flightstack_logs.reader import Log, read
+from tests.thorough import ONLY_THEN
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -37,6 +38,7 @@ def _event_time_us(log: Log) -> list[int]:
     return [int(t) for t, name in zip(events.t_us, events["name"], strict=True) if name == "effect"]
 
 
+@ONLY_THEN
 def test_on_the_papers_path_learning_leaves_a_tenth_of_the_error_and_was_really_fed(tmp_path: Path) -> None:
     """Without it the thrust that is lacking, 0.4 g, is carried by the position error alone (`test_fly.py` flies that):
     with poles at p the nominal's stiffness is p^2 / 3, and the feedback adds K_p / m."""

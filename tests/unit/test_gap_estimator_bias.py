@@ -26,7 +26,7 @@ from flightstack.gap.workflow import analyse
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs.turn import multiply, rotate_inverse, turned
 from tests.gap_flights import Reference, as_samples, fly, hidden, quad, wander
-from tests.thorough import ONLY_THEN, THOROUGH
+from tests.thorough import ONLY_THEN, THOROUGH, thorough
 
 DRAG = {"linear_drag": {f"d_{axis}_kgps": 0.4 for axis in "xyz"}}
 BELIEVED = hidden(quad(), DRAG)
@@ -139,7 +139,7 @@ def test_a_flight_loses_what_was_put_into_it_and_no_more_than_a_filter_believes(
     assert np.max(np.abs(pushed_bias)) == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize("reference", [wander(), nose_north], ids=["turning", "nose north"])
+@pytest.mark.parametrize("reference", [wander(), thorough(nose_north)], ids=["turning", "nose north"])
 def test_what_a_filter_believes_is_no_gap_and_no_gusts(reference: Reference) -> None:
     told = said({}, 2, reference)[0]
     assert told.found == ()
@@ -153,12 +153,12 @@ def test_the_same_flight_is_called_unexplained_where_the_log_says_nothing_of_it(
 def test_a_steady_force_stays_and_its_interval_holds_what_a_filter_may_believe() -> None:
     """A wind through the same drag on every axis is a force: one of them is named with the other as its twin.
 
-    Of eight intervals of 95 % two or more miss in one draw of eighteen, of four in one of seventy.
+    Of eight intervals of 95 % two or more miss in one draw of eighteen, of two both in one of four hundred.
     """
     true = {"north_n": 0.8, "east_n": 0.4, "down_n": 0.0}
     holds = 0
     flights: list[tuple[Reference, int]] = [(wander(), 1), (nose_north, 2)]
-    for reference, seed in flights + ([(wander(), 2), (nose_north, 1)] if THOROUGH else []):
+    for reference, seed in [*flights, (wander(), 2), (nose_north, 1)] if THOROUGH else flights[:1]:
         told = said({"constant_force": true}, seed, reference)[0]
         (found,) = told.found
         assert {found.name, *found.indistinguishable_from} == {"constant_force", "steady_wind"}
@@ -167,7 +167,7 @@ def test_a_steady_force_stays_and_its_interval_holds_what_a_filter_may_believe()
         for axis in ("north", "east"):
             interval = found.parameters[f"{axis}_{unit}"]
             holds += interval.low * size <= true[f"{axis}_n"] <= interval.high * size
-    assert holds >= (7 if THOROUGH else 3)
+    assert holds >= (7 if THOROUGH else 1)
 
 
 def test_a_drag_beside_it_is_named_alone() -> None:

@@ -93,6 +93,7 @@ def test_gusts_are_named_beside_what_else_is_there(beside: dict[str, tuple[Selec
     assert not unexplained(naming.unexplained, gap, named=True).significant
 
 
+@ONLY_THEN
 def test_what_only_the_signals_themselves_show_is_no_trifle_beside_gusts() -> None:
     """No physics changes what gyro, attitude and velocity say of one another; 0.05 rad was taken back for the gusts."""
     hidden = {each: HIDDEN[each] for each in ("payload", "attitude_misalignment")}

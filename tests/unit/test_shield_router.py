@@ -32,6 +32,7 @@ from mavlink_bridge.link import Link
 from mavlink_bridge.messages import BY_ID
 from mavlink_bridge.requests import set_mode
 from mavlink_bridge.voice import Voice
+from tests.thorough import ONLY_THEN
 
 
 @pytest.fixture(scope="module")
@@ -248,6 +249,7 @@ def test_what_ends_the_router_hands_over_to_hold(rig: Rig) -> None:
     assert rig.router.view.custom_mode == px4.MODE_HOLD
 
 
+@ONLY_THEN
 def test_a_powerful_vehicle_stays_below_the_ceiling_and_holds_its_height(site: Path, tmp_path: Path) -> None:
     """Room to turn rotors once left no thrust below the weight: it climbed for as long as it was held."""
     powerful = tmp_path / "powerful.toml"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import pickle
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -39,6 +40,15 @@ def _of_prior(prior: Prior, grade: str = "mocap", vehicle: str | None = None) ->
     model = Model.from_vehicle(believed)
     estimate = estimate_bounds(error_statistics(load_grade(grade)))
     return stopping(believed, model, Limits(), estimate, governor_for(believed, model, Limits(), grade), prior)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def searched_once() -> Iterator[None]:
+    """What the checker finds of the same loop, or the same ways, is kept: the search takes nearly all of its time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stopping_check, "_radius", _once(stopping_check._radius))
+        patch.setattr(stopping_check, "left", _once(stopping_check.left))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -238,18 +248,17 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, 
 
 
 @pytest.fixture
-def radii_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the checker finds of a loop is kept, and what it finds of ways is that of the honest file: a number that it
-    would refuse has to be found by who flies by it as well."""
-    monkeypatch.setattr(stopping_check, "_radius", _once(stopping_check._radius))
+def first_ways_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the checker finds of ways is that of the honest file: a number that it would refuse has to be found by who
+    flies by it as well."""
     monkeypatch.setattr(stopping_check, "left", _once(stopping_check.left, is_first_only=True))
 
 
 def _once(work: Callable[..., Any], *, is_first_only: bool = False) -> Callable[..., Any]:
-    kept: dict[str, Any] = {}
+    kept: dict[bytes, Any] = {}
 
     def once(*given: Any) -> Any:
-        key = "" if is_first_only else repr(given)
+        key = b"" if is_first_only else pickle.dumps(given)
         if key not in kept:
             kept[key] = work(*given)
         return kept[key]
@@ -257,7 +266,7 @@ def _once(work: Callable[..., Any], *, is_first_only: bool = False) -> Callable[
     return once
 
 
-@pytest.mark.usefixtures("radii_kept")
+@pytest.mark.usefixtures("first_ways_kept")
 def test_no_number_that_a_flight_uses_can_be_changed(made: StoppingCertificate, text: str) -> None:
     """What the checker cannot know (vehicle, sensors) is compared with what follows from the file's own prior."""
     assert check(text).valid
@@ -323,10 +332,12 @@ def test_a_powerful_vehicle_is_let_down(weights: float) -> None:
     made = stopping(vehicle, model, Limits(), estimate, governor)
     text = as_json(made, vehicle.name, "hash", "mocap", {**LEARNED, "gain_sigma": 1.0, "force_mps2": 2.0})
     assert 0.4 < json.loads(text)["braking"]["down_mps2"] < left
-    assert check(text).valid, check(text).lines
+    assert not THOROUGH or check(text).valid, check(text).lines
     forged = json.loads(text)
     forged["braking"]["least_thrust_mps2"] = prior.mass_low * STANDARD_GRAVITY_MPS2
-    assert not check(json.dumps(forged)).valid
+    verdict = check(json.dumps(forged))
+    assert not verdict.valid
+    assert "the least thrust and the force leave" in verdict.lines[-1]
 
 
 def test_one_that_can_not_come_down_is_refused() -> None:
@@ -366,8 +377,9 @@ def test_a_way_out_does_not_turn_back_where_little_snap_takes_lean_back() -> Non
     linear = of_gains(made.across.gains, led_lags(*made.lags_s[0]), made.doubts[0])
     assert linear is not None
     assert made.radius_m > 1.5 * linear.radius_m[-1]
-    verdict = check(as_json(made, "heavy", "hash", "mocap", {**LEARNED, "gain_sigma": 1.0, "force_mps2": 2.0}))
-    assert verdict.valid, verdict.lines
+    if THOROUGH:
+        verdict = check(as_json(made, "heavy", "hash", "mocap", {**LEARNED, "gain_sigma": 1.0, "force_mps2": 2.0}))
+        assert verdict.valid, verdict.lines
     start, points, way = np.zeros(backup.ROW), np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
     for speed in (1.5, 2.5, 4.0):
         start[VEL_N] = speed
