@@ -227,7 +227,7 @@ def better_as_drift(state: SelectionState, made: Estimates) -> tuple[str, ...]:
     """The battery's sag, and what leans on it, where a thrust that only drifts with time explains the flights better.
 
     A sag that a drift passes for may have brought a curve and a payload with it to bend the voltage's way into the
-    drift's, so each of the other names may go with it.
+    drift's, so each of the other names may go with it.  What beside the drift has no name's evidence leans on the sag.
     """
     layout = state.point.layout
     thrust = state.bench.columns(made.vehicle, [FreeParameter("thrust_scale", "scale")])
@@ -239,16 +239,20 @@ def better_as_drift(state: SelectionState, made: Estimates) -> tuple[str, ...]:
     whole = state.metric.chi2(without)
     price = np.log(max(float(state.metric.rows.sum()), 2.0))
     others = [name for name in dict.fromkeys(effect for effect, _ in made.slots) if name != "battery_sag"]
-    best = state.metric.chi2(made.rows) + price * len(made.slots)
-    gone: tuple[str, ...] = ()
-    for size in range(len(others) + 1):
-        for leaning in combinations(others, size):
-            away = {"battery_sag", *leaning}
-            used = [0, 1] + [2 + i for i, (effect, _) in enumerate(made.slots) if effect not in away]
-            explained = float(b[used] @ np.linalg.lstsq(k[np.ix_(used, used)], b[used], rcond=1e-10)[0])
-            if (score := whole - explained + price * len(used)) < best:
-                best, gone = score, ("battery_sag", *leaning)
-    return gone
+
+    def score(away: set[str]) -> float:
+        used = [0, 1] + [2 + i for i, (effect, _) in enumerate(made.slots) if effect not in away]
+        explained = float(b[used] @ np.linalg.lstsq(k[np.ix_(used, used)], b[used], rcond=1e-10)[0])
+        return whole - explained + price * len(used)
+
+    tried = [{"battery_sag", *leaning} for size in range(len(others) + 1) for leaning in combinations(others, size)]
+    gone = min(tried, key=score)
+    if score(gone) >= state.metric.chi2(made.rows) + price * len(made.slots):
+        return ()
+    chances = NAME_EVIDENCE + 2.0 * np.log(len(state.point.candidates))
+    while thin := [name for name in others if name not in gone and score(gone | {name}) - score(gone) < chances]:
+        gone = gone | {min(thin, key=lambda name: score(gone | {name}))}
+    return tuple(sorted(gone))
 
 
 def _along(count: int) -> F64:

@@ -54,6 +54,8 @@ from flightstack.vehicle import Vehicle
 EVERYWHERE = frozenset({"constant_force", "steady_wind"})
 """Effects that no place is without: a jet of air, or another vehicle's wake, looks like one as long as one is in it."""
 
+DRIFTS = "a thrust that drifts with time explains the flights better"
+
 _HEIGHT_ERROR_M = 1.6
 """Of PX4's own height in a flight, the worst of 69 (docs/limits.md)."""
 
@@ -283,13 +285,14 @@ def name(
     doubtful = {e for group in told for e in _confounded_terms(state, judged, rests, group)}
     left = unexplained(above_noise(bench, vehicle, told))
     sagging = any(f.name == "battery_sag" for f in judged.found)
-    if sagging and (drifting := better_as_drift(state, judged.estimates)):
-        names = [f.name for f in judged.found]  # strongest first: what is weaker leans on it
-        doubtful |= {*drifting, *names[names.index("battery_sag") :]}
+    drifting = better_as_drift(state, judged.estimates) if sagging else ()
+    if drifting:
+        doubtful |= set(drifting)
         left = Unexplained(True, ("time", "battery"), 1.0)
     doubtful |= {f.name for f in judged.found if all(confounded_with_attitude(s, f.name) for s in bench.flights)}
     kept = in_classes(tuple(f for f in judged.found if f.name not in doubtful), bench.flights)
     rejected = _rejected(bench, state, best, tuple(f.name for f in kept), doubtful)
+    rejected = tuple(replace(r, reason=DRIFTS) if r.name in drifting else r for r in rejected)
     behind = (bench, state)
     return Selection(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, judged.found, behind)
 

@@ -16,7 +16,7 @@ from flightstack.gap.classes import without_motors
 from flightstack.gap.concluded import OnProgress, concluded, held_out_gap, silent, without_bias
 from flightstack.gap.decisions import ALL_OF_ONE, CLEAR_SHARE, MOSTLY
 from flightstack.gap.likeness import same_flight
-from flightstack.gap.name import Selection
+from flightstack.gap.name import DRIFTS, Selection
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.read import flight
 from flightstack.gap.records import Checked, Gap, Samples
@@ -84,10 +84,16 @@ def _looked_closely(
         naming, of, gap = concluded(vehicle, said[1], called, closely=True)
     except InputError:
         return said
-    if not naming.found or gap.closed is None:
+    if not naming.found or gap.closed is None or _is_drift_again(said[0], naming):
         return said
     whole = gap.closed >= MOSTLY and not naming.unexplained.significant
     return (naming, of, gap) if whole or (not said[0].found and closed_power(gap) >= ALL_OF_ONE) else said
+
+
+def _is_drift_again(before: Selection, now: Selection) -> bool:
+    """Whether a battery's sag is named for which a thrust that drifts with time stood better by another split."""
+    drifted = any(r.name == "battery_sag" and r.reason == DRIFTS for r in before.rejected)
+    return drifted and any(found.name == "battery_sag" for found in now.found)
 
 
 def _turned_round(
@@ -109,6 +115,8 @@ def _turned_round(
     before = {each.name for each in said[0].found}
     if not naming.found or naming.unexplained.significant or not before <= {each.name for each in naming.found}:
         return said
+    if _is_drift_again(said[0], naming):
+        return said
     closed = held_out_gap(vehicle, naming, replace(said[1], flights=of.flights)).closed
     return said if closed is None or closed < MOSTLY else (naming, of, gap)
 
@@ -128,7 +136,7 @@ def _split_by_what_is_off(
         naming, of, gap = concluded(vehicle, of, called)
     except InputError:
         return said
-    if not naming.found or closed_power(gap) < CLEAR_SHARE:
+    if not naming.found or closed_power(gap) < CLEAR_SHARE or _is_drift_again(said[0], naming):
         return said
     before = held_out_gap(vehicle, naming, replace(said[1], flights=of.flights))
     return said if closed_power(before) < CLEAR_SHARE else (naming, of, gap)

@@ -172,6 +172,8 @@ def test_a_clipped_propeller_is_named_with_its_class_and_nothing_beside(recorded
     assert found["rotor_fault"].parameters["rotor"].estimate == 2.0
     assert "com_offset" in found["rotor_fault"].indistinguishable_from
     assert set(found) <= {"rotor_fault", "com_offset"}
+    assert result.gap.closed is not None
+    assert result.gap.closed > 0.75  # a false sag that went took the load with it that told the rotor's size: 0.58
 
 
 def test_no_whole_propeller_is_named_weak_and_clipped_ones_agree_from_flight_to_flight(recorded: Path) -> None:
