@@ -243,7 +243,7 @@ def better_as_drift(state: SelectionState, made: Estimates) -> tuple[str, ...]:
     def score(away: set[str]) -> float:
         used = [0, 1] + [2 + i for i, (effect, _) in enumerate(made.slots) if effect not in away]
         explained = float(b[used] @ np.linalg.lstsq(k[np.ix_(used, used)], b[used], rcond=1e-10)[0])
-        return whole - explained + price * len(used)
+        return float(whole - explained + price * len(used))
 
     tried = [{"battery_sag", *leaning} for size in range(len(others) + 1) for leaning in combinations(others, size)]
     gone = min(tried, key=score)
