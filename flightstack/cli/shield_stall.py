@@ -31,6 +31,7 @@ class AfterStall:
         """Why the vehicle is being disarmed, in words; empty once it is."""
         self._has_risen = False
         """Since it was armed."""
+        self._lines: list[str] = []
 
     @property
     def is_taking_back(self) -> bool:
@@ -51,11 +52,18 @@ class AfterStall:
         if stalls.is_held:
             refused = stalls.judge(now_us, is_taking_back=self.is_taking_back)
             self.since_us = -1 if refused else now_us
+            if self._has_risen:
+                self._lines.append(f"{stalls.words}: {refused or 'OFFBOARD is taken back'}")
         elif not self.is_taking_back and speaks and stalls.is_late_hold(view.custom_mode, now_us):
             self.since_us = now_us
         if self.is_taking_back:
             self._take_back(now_us, speaks=speaks, is_blind=is_blind)
         self._switch_off(now_us)
+
+    def look(self) -> list[str]:
+        """What is to be said since the last look."""
+        lines, self._lines = self._lines, []
+        return lines
 
     def _take_back(self, now_us: int, *, speaks: bool, is_blind: bool) -> None:
         stalls, view = self.stalls, self._view
@@ -76,5 +84,7 @@ class AfterStall:
             self.disarms = ""
         if not view.armed or self._has_risen or self.is_taking_back or not self.stalls.own_hold(view.custom_mode):
             return
-        self.disarms = f"stalled while arming: {self.stalls.words}: landed and disarmed"
+        if not self.disarms:
+            self.disarms = f"stalled while arming: {self.stalls.words}: landed and disarmed"
+            self._lines.append(self.disarms)
         self._commands.ensure(DISARM if view.on_ground else set_mode(px4.MODE_LAND), now_us)

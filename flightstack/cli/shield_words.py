@@ -15,7 +15,6 @@ class ShieldWords:
 
     def __init__(self) -> None:
         self._unheard = self._unplaced = False
-        self._disarmed = ""
         self._flying_us = -1
         """Since when the vehicle is armed without a place of the site; -1: it is not."""
 
@@ -23,10 +22,8 @@ class ShieldWords:
         """One line each, at local time `now_us`."""
         if not router.system:
             return []
-        disarms, before = router.after_stall.disarms, self._disarmed
-        self._disarmed = disarms
-        switched_off = [disarms] if disarms and not before else []
-        return [*self._of_the_link(router, now_us), *self._of_the_site(router, now_us), *switched_off]
+        told = router.after_stall.look()
+        return [*self._of_the_link(router, now_us), *self._of_the_site(router, now_us), *told]
 
     def _of_the_link(self, router: ShieldRouter, now_us: int) -> list[str]:
         unheard, before = now_us - router.view.heard_at_us > UNHEARD_US, self._unheard

@@ -144,4 +144,7 @@ def test_in_the_air_nothing_is_switched_off(rig: Stalled) -> None:
     rig.run(3.0)
     assert rig.server.commander.state.armed
     assert mode(rig) == "Hold"
+    (line,) = rig.said
+    assert line.startswith("no setpoint for ")
+    assert line.endswith("too long to take back (limit 0.5 s)"), "nobody knew why it hung there"
     assert -rig.vehicle.plant.pos_ned_m[2] > 1.0

@@ -20,7 +20,7 @@ def said(*seen: tuple[float, bool, bool, float]) -> list[tuple[float, str]]:
         while now_s < until_s:
             now_s += 0.01
             router: Any = SimpleNamespace(
-                system=1, origin_ned_m=np.zeros(3) if placed else None, after_stall=SimpleNamespace(disarms=""),
+                system=1, origin_ned_m=np.zeros(3) if placed else None, after_stall=SimpleNamespace(look=list),
                 view=SimpleNamespace(armed=armed, heard_at_us=round((now_s - before_s) * SECOND_US)),
             )  # fmt: skip
             lines += [(now_s, line) for line in words.look(router, round(now_s * SECOND_US))]
