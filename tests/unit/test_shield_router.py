@@ -229,10 +229,15 @@ def test_what_is_no_setpoint_passes_whole(router: ShieldRouter) -> None:
 
 
 def test_a_router_that_sees_nothing_any_more_says_nothing_so_that_the_dead_man_answers(rig: Rig) -> None:
-    """A program stops the attitude stream: words on an old attitude would be worse than none."""
+    """The streams stop, not by the program, whose word would be noticed: setpoints on an old attitude are worse than
+    none."""
     assert (rig.router.flies, rig.router.has_spoken) == (True, True)
+    somebody = Link(200, 1)
     for name in (m.AttitudeQuaternion, m.HighresImu, m.LocalPositionNed):
-        rig.command(px4.Cmd.SET_MESSAGE_INTERVAL, float(m.id_of(name)), -1.0)
+        given = float(m.id_of(name)), -1.0, *(float("nan"),) * 5
+        somebody.send(m.CommandLong(1, 1, int(px4.Cmd.SET_MESSAGE_INTERVAL), 0, given))
+    for data in somebody.datagrams_to_send():
+        rig.server.receive(0, data)
     rig.run(0.16)
     assert (rig.router.flies, rig.router.has_spoken) == (True, False)
     record = rig.router.last_word(0)
