@@ -19,7 +19,7 @@ from flightstack.types import F64, FlatOutput, Measurement, TickRecord
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.dead_man_frames import CompanionRecord, DeadManRecord
-from mavlink_bridge.decide import SECOND_US, CompanionConfig, Situation, decide, landing_limit_s
+from mavlink_bridge.decide import ROUND_TRIP_MAX_S, SECOND_US, CompanionConfig, Situation, decide, landing_limit_s
 from mavlink_bridge.faults import FAULTS
 from mavlink_bridge.handshake import FINAL, HandshakeEvent, State, transition
 from mavlink_bridge.hearing import Hearing
@@ -188,6 +188,8 @@ class Companion:
         now.unfit, now.trouble = self._watch.judge()
         if now.dead_man_lost and self.view.params.needs_dead_man:
             now.trouble = now.trouble or "dead-man-lost"
+        if self.view.least_round_trip_us > 1e6 * ROUND_TRIP_MAX_S:
+            now.trouble = now.trouble or "slow-link"
         if now.state is State.LANDING and not self._landing and now.stalls.is_held and not now.stalls.judge(now_us):
             now.entered_us = now_us  # the Hold is ours: landing goes on
             self._commands.insist(set_mode(px4.MODE_LAND))

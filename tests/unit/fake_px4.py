@@ -52,6 +52,8 @@ class FakePx4:
     """Position, velocity and acceleration at a time."""
     alter: Callable[[Any], Any | None] = lambda message: message
     """What becomes of attitude, position and IMU on their way; None: lost."""
+    round_trip_us: int | None = None
+    """It answers TIMESYNC as if asked so long before, half way there; None: it does not."""
     params: dict[str, float] = field(default_factory=lambda: dict(PARAMS))
     answers_params: bool = True
     lacks_param_error: bool = False
@@ -62,10 +64,11 @@ class FakePx4:
 
     def __post_init__(self) -> None:
         self.link = Link(self.system, 1, signing=self.signing)
-        self._ticks = 0
+        self._ticks = self._now_us = 0
 
     def step(self, now_us: int) -> None:
         """Answer what came in and send what is due."""
+        self._now_us = now_us
         while (received := self.link.next_event()) is not None:
             self._take(received.message, received.system, received.component)
         if self.heartbeats and self._ticks % 250 == 0:
@@ -110,6 +113,9 @@ class FakePx4:
                 self.link.send(m.ParamValue(message.param_id, bits, kind, 875, 1))
             elif not self.lacks_param_error:
                 self.link.send(m.ParamError(system, component, message.param_id, -1, 1))
+        elif isinstance(message, m.Timesync) and self.round_trip_us is not None and not message.tc1_ns:
+            half_us = self.round_trip_us // 2
+            self.link.send(m.Timesync(1000 * (self._now_us - half_us), message.ts1_ns - 2000 * half_us))
         elif isinstance(message, m.CommandLong):
             self.commands.append(message)
             self.heard.append(message)

@@ -305,6 +305,22 @@ def test_whether_px4_may_have_acted_goes_by_its_own_loss_time(loss_s: float, act
     assert not watch.may_have_acted(500_000, 750_000, loss_s)  # long awake
 
 
+def test_a_link_that_becomes_slow_in_flight_ends_it() -> None:
+    """Behind a radio that slept for 40 ms a real PX4 swung by a radian for three seconds, and met the ground at
+    1.9 m/s.  Ten answers, one in 0.1 s: 1 s.  A stall's five late ones are none."""
+    flight = flying()
+    now = flight.now_us
+    for trip_us, seconds in ((4_000, 1.5), (60_000, 0.5), (4_000, 1.5)):
+        flight.vehicle.round_trip_us = trip_us
+        exchange(flight.companion, flight.vehicle, seconds, start_us=now)
+        now += round(1e6 * seconds)
+    assert flight.companion.state is State.OFFBOARD
+    flight.vehicle.round_trip_us, flight = 60_000, flight._replace(now_us=now)
+    after_s = _until_handed_back(flight)
+    assert after_s == pytest.approx(FAULTS["slow-link"].after_s or 0.0, abs=0.1)
+    _assert_handed_back(flight, "slow-link", flight.now_us + round(after_s * 1e6) + STEP_US)
+
+
 def test_too_many_missed_ticks_hand_back_to_hold() -> None:
     """Every tenth tick: 225 missed in a second, 210 of them after 0.96 s."""
     flight = flying()
