@@ -85,6 +85,8 @@ ATTACKS: dict[str, Attack] = {
     "a delay that jumps to 15 ms each way": Attack(
         linked(Manner(), (Manner(up_s=0.015, down_s=0.015), 30.0)), codes=(0, 1)
     ),
+    "15 ms each way from the start": Attack(linked(Manner(up_s=0.015, down_s=0.015)), codes=(0, 1)),
+    "10 ms each way from the start": Attack(linked(Manner(up_s=0.01, down_s=0.01)), codes=(0, 1)),
     "system id 3": Attack(_station(lambda scene: None), codes=(0,), params=(("MAV_SYS_ID", 3.0),)),
     "parameters listed again and again": Attack(_station(_lists), codes=(0,)),
     "a mission uploaded and cleared in flight": Attack(
