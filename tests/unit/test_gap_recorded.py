@@ -176,6 +176,12 @@ def test_a_clipped_propeller_is_named_with_its_class_and_nothing_beside(recorded
     assert result.gap.closed > 0.75  # a false sag that went took the load with it that told the rotor's size: 0.58
 
 
+def test_of_a_whole_vehicle_s_load_no_weak_rotor_is_a_twin(recorded: Path) -> None:
+    """All four rotors lift a sixth less than the file says (1.5 m/s^2): no single rotor does that, nor any damping."""
+    (load,) = analyse([recorded / "crazypad" / "normal_E8_log00"], own("crazyflie-2.1")).found
+    assert {load.name, *load.indistinguishable_from} == {"payload", "thrust_scale"}
+
+
 def test_no_whole_propeller_is_named_weak_and_clipped_ones_agree_from_flight_to_flight(recorded: Path) -> None:
     """Without a gyro a weak rotor and a shifted mass beside it stand for a yaw trim: 0.47 was named on a whole one."""
     told = {}
