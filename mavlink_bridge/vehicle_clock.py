@@ -90,7 +90,9 @@ class VehicleClock:
             told = [(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise(self._trips)]
             fitted = jumped or len(self._buckets) >= 2 or len(told) < 2
             rate = self.rate if fitted else median(told)
-            self._restart(vehicle_us, middle_us)
+            self._restart(
+                vehicle_us, answered_us
+            )  # as stamps are taken: by receipt, what the link always takes left out
             self.rate = rate
 
     def vehicle_us(self, local_us: int) -> int:

@@ -103,3 +103,21 @@ def test_after_slips_the_vehicles_time_is_right_again_within_half_a_second(
         if local_us > slips_us[-1] + 500_000:
             assert abs(clock.vehicle_us(local_us) - (offset_us + round(local_us * rate))) < 10_000
     assert clock.rate == pytest.approx(rate, abs=2e-3)
+
+
+@pytest.mark.parametrize("one_way_us", [1_000, 14_000])
+def test_after_a_slip_what_arrives_is_as_old_as_before_it(one_way_us: int) -> None:
+    """The line goes by receipt, so what a link always takes is no age; a round trip that corrected it went by the
+    middle.  A real PX4 behind 15 ms each way was told stale attitudes for half a second, and landed in mid-figure."""
+    clock, rng, offset_us = VehicleClock(), np.random.default_rng(7), 5_000_000
+    slip_at_us, asked_us = 5_000_000, 0
+    for local_us in range(0, 8_000_000, 4_000):
+        offset_us -= 60_000 * (local_us == slip_at_us)
+        stamp_us = offset_us + local_us - one_way_us - int(rng.exponential(300))
+        clock.observe(stamp_us, local_us)
+        if local_us - asked_us >= 100_000:
+            asked_us = local_us
+            clock.observe_round_trip(local_us - 2 * one_way_us, offset_us + local_us - one_way_us, local_us)
+        if 2_000_000 < local_us < slip_at_us or local_us > slip_at_us + 110_000:
+            assert clock.vehicle_us(local_us) - stamp_us < 5_000
+    assert clock.slips == 1
