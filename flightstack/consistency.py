@@ -22,6 +22,7 @@ import math
 import numpy as np
 
 from flightstack.jit import Entry, njit
+from flightstack.rows import Q_W, Q_X, Q_Y, Q_Z, VEL_D, VEL_E, VEL_N
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Tuple3, Tuple4
 
 FROZEN_US = 100_000
@@ -41,6 +42,9 @@ _JERK_MPS3 = 60.0
 default of 220 deg/s at 1 g makes 38."""
 _JUDGED_MAX_S = 0.5
 """Over a longer gap a step of position says nothing."""
+
+_GYRO, _TURNS = 3, 4
+"""Body rates in a sample of the IMU, of the attitude."""
 
 # The row: samples as they came last, what is worked out from them, then stamps (us; -1 before the first).
 _POS, _VEL, _FORCE, _RATE, _ATTITUDE_RATE, _Q = 0, 3, 6, 9, 12, 15
@@ -155,7 +159,7 @@ def watch_imu(row: F64, t_us: float, sample: F64) -> None:
     if dt <= 0.0:
         return
     row[_IMU_US] = t_us
-    fx, fy, fz, p, q, r = sample[0], sample[1], sample[2], sample[3], sample[4], sample[5]
+    fx, fy, fz, p, q, r = sample[0], sample[1], sample[2], sample[_GYRO], sample[_GYRO + 1], sample[_GYRO + 2]
     p0, q0, r0 = row[_RATE], row[_RATE + 1], row[_RATE + 2]
     pushed, turned = _put(row, _FORCE, fx, fy, fz), _put(row, _RATE, p, q, r)
     if pushed or turned or row[_IMU_CHANGED_US] < 0.0:
@@ -181,7 +185,8 @@ def watch_attitude(row: F64, t_us: float, sample: F64) -> None:
     if dt <= 0.0:
         return
     row[_ATTITUDE_US] = t_us
-    w, x, y, z, p, q, r = sample[0], sample[1], sample[2], sample[3], sample[4], sample[5], sample[6]
+    w, x, y, z = sample[Q_W], sample[Q_X], sample[Q_Y], sample[Q_Z]
+    p, q, r = sample[_TURNS], sample[_TURNS + 1], sample[_TURNS + 2]
     turned, lain = _put(row, _ATTITUDE_RATE, p, q, r), _put(row, _Q + 1, x, y, z)
     if turned or lain or w != row[_Q] or row[_ATTITUDE_CHANGED_US] < 0.0:
         row[_ATTITUDE_CHANGED_US] = t_us
@@ -211,7 +216,7 @@ def _moved(row: F64, t_us: float, sample: F64) -> Tuple3:
         return 0.0, 0.0, 0.0
     first = row[_POSITION_US] < 0.0
     row[_POSITION_US] = t_us
-    n, e, d, vn, ve, vd = sample[0], sample[1], sample[2], sample[3], sample[4], sample[5]
+    n, e, d, vn, ve, vd = sample[0], sample[1], sample[2], sample[VEL_N], sample[VEL_E], sample[VEL_D]
     n0, e0, d0 = row[_POS], row[_POS + 1], row[_POS + 2]
     vn0, ve0, vd0 = row[_VEL], row[_VEL + 1], row[_VEL + 2]
     if _put(row, _POS, n, e, d) or row[_POSITION_CHANGED_US] < 0.0:

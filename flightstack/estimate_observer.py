@@ -35,6 +35,7 @@ import math
 import numpy as np
 
 from flightstack.jit import njit
+from flightstack.rows import VEL_D, VEL_E, VEL_N
 from flightstack.types import F64, Tuple3
 
 POOR_MPS = 0.15
@@ -120,7 +121,7 @@ def _weight(row: F64, i: int) -> float:
 @njit
 def observe(row: F64, t: float, sample: F64) -> None:
     """One sample (6,) of position and velocity; what is not finite changes nothing."""
-    n, e, d, vn, ve, vd = sample[0], sample[1], sample[2], sample[3], sample[4], sample[5]
+    n, e, d, vn, ve, vd = sample[0], sample[1], sample[2], sample[VEL_N], sample[VEL_E], sample[VEL_D]
     if not math.isfinite(n + e + d + vn + ve + vd):
         return
     dt = t - row[_TIME]

@@ -60,7 +60,7 @@ def quat_to_matrix(q: F64) -> F64:
 def matrix_to_quat(r: F64) -> F64:
     """Unit quaternion (4,) with w >= 0 of a rotation matrix (3, 3)."""
     q = np.empty(4)
-    q[0], q[1], q[2], q[3] = rotation_to_quat(
+    q[Q_W], q[Q_X], q[Q_Y], q[Q_Z] = rotation_to_quat(
         ((r[0, 0], r[0, 1], r[0, 2]), (r[1, 0], r[1, 1], r[1, 2]), (r[2, 0], r[2, 1], r[2, 2]))
     )
     return q

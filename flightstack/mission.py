@@ -174,13 +174,13 @@ def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0, r
 
 
 def _climb(ground: F64, above: F64) -> list[tuple[str, Polynomial]]:
-    """From rest on the ground to rest above, (4,) each: phases and their paths."""
-    rise_m, turn_s = abs(float(above[2])), _REST_TO_REST_PEAK * abs(float(above[3] - ground[3])) / _YAW_RATE_RADPS
+    """From rest on the ground to rest above, (4,) each, place and yaw: phases and their paths."""
+    rise_m, turn_s = abs(float(above[2])), _REST_TO_REST_PEAK * abs(float(above[-1] - ground[-1])) / _YAW_RATE_RADPS
     if rise_m <= _HIGH_M:
         climb_s = max(_LEAST_CLIMB_S, _REST_TO_REST_PEAK * rise_m / _CLIMB_MPS)
         if turn_s <= climb_s:
             return [("takeoff", minimum_snap(np.stack([ground, above]), np.array([0.0, climb_s])))]
-        over = np.append(above[:3], ground[3])
+        over = np.append(above[:3], ground[-1])
         climb = minimum_snap(np.stack([ground, over]), np.array([0.0, climb_s]))
         return [("takeoff", climb), ("approach", minimum_snap(np.stack([over, above]), np.array([0.0, turn_s])))]
     speed_mps = min(_CLIMB_MPS, rise_m / (turn_s + _GATHER_S))

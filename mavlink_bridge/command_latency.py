@@ -89,7 +89,7 @@ def compare_report(sent: F64, square: F64, t_us: float, motors: F64) -> None:
     """A report (4,) at a vehicle time, into the rows of a CommandLatency; one that says nothing is left out."""
     if not (motors.min() > _ENDS and motors.max() < 1.0 - _ENDS):
         return
-    thrust = 0.25 * (motors[0] + motors[1] + motors[2] + motors[3])
+    thrust = motors.mean()
     errors = np.empty(_DELAYS)
     place = int(sent[0]) + _RING - 1  # the newest
     oldest = place - _RING + 1

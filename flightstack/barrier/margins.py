@@ -142,7 +142,7 @@ def _constants(rows: F64, fastest: tuple[float, float], given: F64, circle: F64)
     for k in range(3):  # eta widens the region whose slopes it comes from: a few parts in a hundred of itself
         if k > 0:
             at = _slopes(rows, fastest, given, eta, circle)
-        eta = max(0.0, at[5])
+        eta = max(0.0, at[-1])
     return eta, at
 
 

@@ -22,11 +22,12 @@ _I = NDArray[np.int64]
 _STEP_S, _STILL_S, _OBSERVER_S, _LONGEST = 0.01, 2.5, 0.1, 768
 _ASKED_SHARE, _TURN_SHARE, _SEEN_SHARE, _LEAD_S = 0.5, 0.5, 0.85, 0.05
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
+(_P, _V, _A, _J, _S, _O), _EP, _EV = range(6), 2, 3
+"""Place, velocity, lean, its rate, its snap, force that is seen; of inputs, errors of place and velocity."""
 _MOMENTS = (0.12, 0.19, 0.26, 0.33, 0.4, 0.47, 0.54, 0.64)
 _COURSES, _OFF_RAD = ((0.0, 0.0), (1.0, 0.0), (0.5, 0.3), (0.75, 0.6), (0.25, 0.5), (1.25, 0.2)), 0.2
 """Shares of a way's time; first courses: half turns of a direction, share of the time until the force turns round."""
-_STOP_SHARE = 0.75
-"""Of the snap, what stops a turning that is faster than a way's own."""
+_STOP_SHARE = 0.75  # of the snap, what stops a turning that is faster than a way's own
 _LITTLE_MPS, _MUCH_MPS, _LEANT_S, _LITTLE_MPS2 = 2.0, 4.0, 0.4, 1.0
 """Motion with which a way is left no further than one from rest, and the furthest; what lean adds to it; the lean
 beyond what brakes that adds nothing by itself."""
@@ -228,18 +229,18 @@ def _gains(loop: Loop) -> tuple[float, float, float, float, float]:
 
 
 def _snap(x: _C, u: _C, at: _C, loop: Loop) -> _Snap:
-    """x (6, lanes): place, velocity, lean, its rate, its snap, what is seen of the force."""
+    """x (6, lanes)."""
     by_place, by_velocity, lead, damped, late_s = _gains(loop)
-    back = by_velocity * (at[1] - x[1] - u[3]) + by_place * (at[0] - x[0] - u[2])
+    back = by_velocity * (at[_V] - x[_V] - u[_EV]) + by_place * (at[_P] - x[_P] - u[_EP])
     size, most = _sizes(back), _ASKED_SHARE**3 * loop.snap_mps4 / by_velocity**2
     backs = _Part(back, size, np.minimum(1.0, np.cbrt(most / size)))
-    leant = _bounded(at[2] + backs.share * back - _SEEN_SHARE * x[5], loop.lean_mps2)
-    short = leant.share * leant.z - x[2]
+    leant = _bounded(at[_A] + backs.share * back - _SEEN_SHARE * x[_O], loop.lean_mps2)
+    short = leant.share * leant.z - x[_A]
     size, most = _sizes(short), _TURN_SHARE * loop.snap_mps4
     stopped = np.sqrt((most * late_s) ** 2 + 2.0 * most * size) - most * late_s
     turn = np.minimum(np.minimum(stopped, loop.acc_ps * size), loop.fastest_mps3)
     shorts = _Part(short, size, turn / size)
-    wanted = _bounded(lead * (at[3] + shorts.share * short - x[3]) - damped * x[4], loop.snap_mps4)
+    wanted = _bounded(lead * (at[_J] + shorts.share * short - x[_J]) - damped * x[_S], loop.snap_mps4)
     return _Snap(wanted.share * wanted.z, backs, leant, shorts, stopped, wanted)
 
 
@@ -264,18 +265,18 @@ def _run(lanes: _Lanes, courses: _Courses, loop: Loop) -> _C:
     """(steps + 1, 6, lanes) states; after a lane's end they are not worked out."""
     x = np.zeros((len(courses.inputs) + 1, 6, len(lanes.way)), dtype=np.complex128)
     begins, first = lanes.laid[0][:, lanes.way], courses.first
-    x[0, 0], x[0, 1], x[0, 2] = begins[0] + first[1], begins[1] + first[2], begins[2] - first[0]
-    x[0, 3], x[0, 5], follows = begins[3], first[0], 1.0 - np.exp(-_STEP_S / loop.rotors_s)
+    x[0, _P], x[0, _V], x[0, _A] = begins[_P] + first[1], begins[_V] + first[2], begins[_A] - first[0]
+    x[0, _J], x[0, _O], follows = begins[_J], first[0], 1.0 - np.exp(-_STEP_S / loop.rotors_s)
     for k in range(int(lanes.last.max())):
         m = int(lanes.running[k])
         u, here, after = courses.inputs[k, :, :m], x[k, :, :m], x[k + 1, :, :m]
-        snap = _snap(here, u, lanes.laid[k].take(lanes.way[:m], axis=1), loop)
-        after[4] = here[4] + follows * (snap.asked - here[4])
-        after[0] = here[0] + _STEP_S * here[1]
-        after[1] = here[1] + _STEP_S * (here[2] + u[0] + u[1])
-        after[2] = here[2] + _STEP_S * here[3]
-        after[3] = here[3] + _STEP_S * after[4]
-        after[5] = here[5] + _STEP_S / _OBSERVER_S * (u[0] - here[5])
+        way = lanes.laid[k].take(lanes.way[:m], axis=1)
+        after[_S] = here[_S] + follows * (_snap(here, u, way, loop).asked - here[_S])
+        after[_P] = here[_P] + _STEP_S * here[_V]
+        after[_V] = here[_V] + _STEP_S * (here[_A] + u[0] + u[1])
+        after[_A] = here[_A] + _STEP_S * here[_J]
+        after[_J] = here[_J] + _STEP_S * after[_S]
+        after[_O] = here[_O] + _STEP_S / _OBSERVER_S * (u[0] - here[_O])
     return x
 
 
@@ -286,26 +287,26 @@ def _uphill(lanes: _Lanes, courses: _Courses, x: _C, toward: _C, loop: Loop) -> 
     for k in range(int(lanes.last.max()) - 1, -1, -1):
         m = int(lanes.running[k])
         h, u = g[:, :m], courses.inputs[k, :, :m]
-        h[0] = np.where(lanes.last[:m] == k + 1, toward[:m], h[0])
+        h[_P] = np.where(lanes.last[:m] == k + 1, toward[:m], h[_P])
         snap = _snap(x[k, :, :m], u, lanes.laid[k].take(lanes.way[:m], axis=1), loop)
-        by_snap = follows * (h[4] + _STEP_S * h[3])
-        up[k, 0, :m], up[k, 1, :m] = _STEP_S * (h[1] + h[5] / _OBSERVER_S), _STEP_S * h[1]
-        h[4] = (1.0 - follows) * (h[4] + _STEP_S * h[3])
-        for i in (3, 2, 1):
+        by_snap = follows * (h[_S] + _STEP_S * h[_J])
+        up[k, 0, :m], up[k, 1, :m] = _STEP_S * (h[_V] + h[_O] / _OBSERVER_S), _STEP_S * h[_V]
+        h[_S] = (1.0 - follows) * (h[_S] + _STEP_S * h[_J])
+        for i in (_J, _A, _V):
             h[i] += _STEP_S * h[i - 1]
-        h[5] *= 1.0 - _STEP_S / _OBSERVER_S
+        h[_O] *= 1.0 - _STEP_S / _OBSERVER_S
         by_wanted = _felt(snap.wanted, snap.wanted.cut(), by_snap)
         by_short = _felt(snap.short, _turning_slope(snap, loop), lead * by_wanted)
         by_leant = _felt(snap.leant, snap.leant.cut(), by_short)
         by_back = _felt(snap.back, snap.back.cut(3.0), by_leant)
-        up[k, 2, :m], up[k, 3, :m] = -by_place * by_back, -by_velocity * by_back
-        h[0] -= by_place * by_back
-        h[1] -= by_velocity * by_back
-        h[2] -= by_short
-        h[3] -= lead * by_wanted
-        h[4] -= damped * by_wanted
-        h[5] -= _SEEN_SHARE * by_leant
-    return _Courses(up, np.stack([g[5] - g[2], g[0], g[1]]))
+        up[k, _EP, :m], up[k, _EV, :m] = -by_place * by_back, -by_velocity * by_back
+        h[_P] -= by_place * by_back
+        h[_V] -= by_velocity * by_back
+        h[_A] -= by_short
+        h[_J] -= lead * by_wanted
+        h[_S] -= damped * by_wanted
+        h[_O] -= _SEEN_SHARE * by_leant
+    return _Courses(up, np.stack([g[_O] - g[_A], g[_P], g[_V]]))
 
 
 def _away(lanes: _Lanes, x: _C) -> _C:
@@ -322,7 +323,7 @@ def _driven(lanes: _Lanes, courses: _Courses, sizes: F64, loop: Loop) -> tuple[F
     for _ in range(_ROUNDS):
         best, still = np.abs(away), np.arange(len(away))
         bounds = _uphill(lanes, courses, x, away / np.maximum(best, 1e-9), loop)
-        for toward, most in zip(bounds, (sizes[None, :, None], sizes[[0, 2, 3], None]), strict=True):
+        for toward, most in zip(bounds, (sizes[None, :, None], sizes[[0, _EP, _EV], None]), strict=True):
             toward /= np.maximum(np.abs(toward), 1e-12)
             toward *= most
         for share in _SHARES:
@@ -357,14 +358,13 @@ def _sorted(lanes: _Lanes) -> tuple[_Lanes, _I]:
 
 
 def _first_courses(lanes: _Lanes, sizes: F64) -> _Courses:
-    """Along a direction, or nearly against it until a moment; the estimate errs a little off it, as on a line no
-    gradient points away from the line."""
+    """Along a direction, or nearly against it until a moment; the estimate errs off it: no gradient leaves a line."""
     half_turns, turned = np.tile(np.array(_COURSES).T, len(lanes.last) // len(_COURSES))
     along, off = np.exp(1j * np.pi * half_turns), np.exp(1j * (np.pi * half_turns + _OFF_RAD))
     after = np.arange(lanes.last.max())[:, None] >= (turned * lanes.last)[None, :]
     force = np.where(after, along, -along * np.exp(-1j * _OFF_RAD))
     inputs: _C = np.stack([force, force, *2 * [np.broadcast_to(-off, force.shape)]], axis=1)
-    first = np.stack([-sizes[0] * along, sizes[2] * off, sizes[3] * off]).astype(np.complex128)
+    first = np.stack([-sizes[0] * along, sizes[_EP] * off, sizes[_EV] * off]).astype(np.complex128)
     return _Courses(inputs * sizes[None, :, None], first)
 
 

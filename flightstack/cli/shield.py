@@ -26,7 +26,7 @@ from flightstack.cli.sensors import error_statistics
 from flightstack.cli.shield_controller import Relay
 from flightstack.cli.shield_frames import is_mavlink
 from flightstack.cli.shield_passing import Passing
-from flightstack.cli.shield_premises import Premises
+from flightstack.cli.shield_premises import ShieldPremises
 from flightstack.cli.shield_router import ShieldRouter
 from flightstack.cli.shield_turns import HeldTurns
 from flightstack.cli.shield_words import ShieldWords
@@ -124,7 +124,7 @@ def shield(
     router = ShieldRouter(stack, relay, refiner, place, lambda view: unknowing(view, bounds, options.sensors))
     governed = stack.filter.governed(None)  # of a site the same in every state
     turns = HeldTurns(governed.yaw_max if governed else math.inf)
-    router.premises = Premises(counted_on(tuned(file, gains)))
+    router.premises = ShieldPremises(counted_on(tuned(file, gains)))
     began_us = monotonic_us()
     with ExitStack() as opened:
         opened.enter_context(undisturbed(real_time=True))

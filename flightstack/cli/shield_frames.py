@@ -39,7 +39,8 @@ def is_one_frame(data: bytes, but: int) -> bool:
     if data[0] == MAGIC_V2:
         size = HEADER_SIZE + data[1] + CRC.size + SIGNATURE_SIZE * (data[2] & 1)
         return size == len(data) and int.from_bytes(data[7:10], "little") != but
-    return data[0] == MAGIC_V1 and 6 + data[1] + CRC.size == len(data) and data[5] != but
+    _, length, _, _, _, message, *_ = data
+    return data[0] == MAGIC_V1 and 6 + length + CRC.size == len(data) and message != but
 
 
 def without(data: bytes, is_taken: Callable[[Frame, bytes], bool], *, whole: bool) -> list[bytes]:

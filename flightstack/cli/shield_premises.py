@@ -14,7 +14,7 @@ from mavlink_bridge.messages import ParamValue
 _SAME = 1e-6
 
 
-class Premises:
+class ShieldPremises:
     """Takes every PARAM_VALUE of the vehicle."""
 
     def __init__(self, counted: Mapping[str, float]) -> None:

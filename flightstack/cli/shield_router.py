@@ -26,9 +26,9 @@ import numpy as np
 
 from flightstack.cli.shield_controller import Relay, hold_of, is_whole, reference_of
 from flightstack.cli.shield_frames import SETPOINT_IDS, SETPOINTS, decoded, without
-from flightstack.cli.shield_premises import Premises
+from flightstack.cli.shield_premises import ShieldPremises
 from flightstack.cli.shield_stall import AfterStall
-from flightstack.cli.shield_streams import COMMAND_IDS, Streams
+from flightstack.cli.shield_streams import COMMAND_IDS, ShieldStreams
 from flightstack.cli.site import TimedSiteFilter
 from flightstack.geodesy import LocalFrame
 from flightstack.predictor import predict, sampled
@@ -96,7 +96,7 @@ class ShieldRouter:
         self.system = 0
         self.record: TickRecord | None = None
         """Of the last tick in OFFBOARD."""
-        self.premises = Premises({})
+        self.premises = ShieldPremises({})
         """What the site's certificate counts on."""
         self.origin_ned_m: F64 | None = None
         """Where the vehicle was armed first: the site stays where it is when the program lands and takes off again."""
@@ -115,7 +115,7 @@ class ShieldRouter:
         self._stamps: set[int] = set()
         self._measurement: Measurement | None = None
         self._t_us = 0
-        self._streams = Streams(self.view, self._commands)
+        self._streams = ShieldStreams(self.view, self._commands)
         self.after_stall = AfterStall(self.view, self._commands)
         self.has_spoken = False
         """Whether a setpoint went out in the newest step."""

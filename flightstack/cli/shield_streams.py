@@ -18,7 +18,7 @@ _SLOW_US = 30_000
 COMMAND_IDS = frozenset(map(m.id_of, (m.CommandLong, m.CommandInt)))
 
 
-class Streams:
+class ShieldStreams:
     """Of one vehicle."""
 
     def __init__(self, view: VehicleView, commands: CommandQueue) -> None:

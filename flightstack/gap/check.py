@@ -91,20 +91,21 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
             findings.append(refused("flight", text))
         else:
             findings += judge_vehicle(samples, vehicle)
-    seconds = float(np.sum(samples.valid)) * samples.dt_s
-    if seconds < LEAST_FLIGHT_S:
-        findings.append(
-            refused("flight", f"only {seconds:.3g} s in the air; it takes {LEAST_FLIGHT_S:.0f}, better a minute")
-        )
-    elif seconds < SHORT_FLIGHT_S:
-        findings.append(warning("flight", f"only {seconds:.3g} s in the air; little can be told apart"))
-    else:
-        findings.append(ok("flight", f"{seconds:.1f} s in the air"))
+    findings.append(_in_the_air(float(np.sum(samples.valid)) * samples.dt_s))
     if FREED in samples.derived:
         findings.append(ok("bias", _FREED_SAYS))
     findings += quality.judge_quality(samples, signals)
     findings += quality.judge_consistency(signals, span, offsets)
     return Checked(read, None if _is_refused(findings) else samples, tuple(findings), offsets)
+
+
+def _in_the_air(seconds: float) -> Finding:
+    """How long a flight is, and whether that is enough."""
+    if seconds < LEAST_FLIGHT_S:
+        return refused("flight", f"only {seconds:.3g} s in the air; it takes {LEAST_FLIGHT_S:.0f}, better a minute")
+    if seconds < SHORT_FLIGHT_S:
+        return warning("flight", f"only {seconds:.3g} s in the air; little can be told apart")
+    return ok("flight", f"{seconds:.1f} s in the air")
 
 
 def _without_rare_imu(signals: dict[str, Signal]) -> tuple[dict[str, Signal], list[Finding]]:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from flightstack.jit import njit, njit_called
-from flightstack.rows import WAY_HALF, WAY_RADIUS
+from flightstack.rows import JERK_N, WAY_HALF, WAY_RADIUS
 from flightstack.site import approach, slide
 from flightstack.site.clearance import JUMP_CODE, clear_of
 from flightstack.types import F64
@@ -119,7 +119,8 @@ def bend(n: F64, site: F64, s: F64, reference: F64, dt: float, rows: F64, way: F
     slowed = _slowed(site, s, place, v, rows)
     if slowed != -3:
         n[EDGE] = slowed
-    own = min(math.sqrt(reference[9] ** 2 + reference[10] ** 2 + reference[11] ** 2), approach.JERK_MOST_MPS3)
+    jerk = reference[JERK_N : JERK_N + 3]
+    own = min(math.sqrt(jerk[0] ** 2 + jerk[1] ** 2 + jerk[2] ** 2), approach.JERK_MOST_MPS3)
     approach.advance(way_of, v, s[slide.LED_JERK] + own, dt)
     _pushed(site, s, place, rows)
     for i in range(9):

@@ -31,6 +31,12 @@ _STATE = 12
 _P, _V, _A, _J, _S, _O = range(0, _STATE, 2)
 _INPUTS = 8
 """Force, what no sensor shows, errors of place and of velocity: north and east of each."""
+_FORCE, _REST, _EP, _EV = range(0, _INPUTS, 2)
+_TURN = _J
+"""Of a way, whose rows begin as a state does."""
+_VEL_PS, _POS_PS2, _TURN_PS, _LAG_S, _ROTORS_S, _LATE_S = range(6)
+_MOST_EV = 3
+"""Of a `Loop` as compiled functions take it; of the greatest sizes."""
 Spare = tuple[F64, F64, F64, F64, F64, F64]
 """Of `_driven`: bounds and inputs that are tried, states, a direction, first states."""
 _KICKED, _OFF_RAD = 2, 0.2
@@ -84,18 +90,23 @@ class Closed(NamedTuple):
 @njit
 def _snap_asked(x: F64, u: F64, at: F64, loop: F64, held: F64, out: F64) -> None:
     """What the snap goes to, (2,), within what there is."""
-    vel_ps, pos_ps2, turn_ps, lag, rotors, late = loop[0], loop[1], loop[2], loop[3], loop[4], loop[5]
+    vel_ps, pos_ps2, turn_ps = loop[_VEL_PS], loop[_POS_PS2], loop[_TURN_PS]
+    lag, rotors, late = loop[_LAG_S], loop[_ROTORS_S], loop[_LATE_S]
     snap, lean, fastest = held[0], held[1], held[2]
-    north = vel_ps * (at[2] - x[_V] - u[6]) + pos_ps2 * (at[0] - x[_P] - u[4])
-    east = vel_ps * (at[3] - x[_V + 1] - u[7]) + pos_ps2 * (at[1] - x[_P + 1] - u[5])
+    north = vel_ps * (at[_V] - x[_V] - u[_EV]) + pos_ps2 * (at[_P] - x[_P] - u[_EP])
+    east = vel_ps * (at[_V + 1] - x[_V + 1] - u[_EV + 1]) + pos_ps2 * (at[_P + 1] - x[_P + 1] - u[_EP + 1])
     share = asked(math.sqrt(north * north + east * east), vel_ps, snap)
-    north, east = at[4] + share * north - SEEN_SHARE * x[_O], at[5] + share * east - SEEN_SHARE * x[_O + 1]
+    north, east = at[_A] + share * north - SEEN_SHARE * x[_O], at[_A + 1] + share * east - SEEN_SHARE * x[_O + 1]
     cut = min(1.0, lean / max(math.sqrt(north * north + east * east), 1e-9))
     north, east = cut * north - x[_A], cut * east - x[_A + 1]
     short = max(math.sqrt(north * north + east * east), 1e-9)
     turn = min(turn_towards(short, turn_ps, snap, late), fastest) / short
     north, east = snap_asked(
-        (at[6] + turn * north, at[7] + turn * east), (x[_J], x[_J + 1]), (x[_S], x[_S + 1]), snap, (lag, rotors)
+        (at[_TURN] + turn * north, at[_TURN + 1] + turn * east),
+        (x[_J], x[_J + 1]),
+        (x[_S], x[_S + 1]),
+        snap,
+        (lag, rotors),
     )
     out[0], out[1] = north, east
 
@@ -103,7 +114,7 @@ def _snap_asked(x: F64, u: F64, at: F64, loop: F64, held: F64, out: F64) -> None
 @njit
 def _run(way: F64, inputs: F64, loop: F64, held: F64, states: F64) -> None:
     """From states[0] on, in steps of STEP_S."""
-    snap, follows = np.empty(2), 1.0 - math.exp(-STEP_S / loop[4])
+    snap, follows = np.empty(2), 1.0 - math.exp(-STEP_S / loop[_ROTORS_S])
     for k in range(len(inputs)):
         x, y, u = states[k], states[k + 1], inputs[k]
         _snap_asked(x, u, way[k], loop, held, snap)
@@ -111,7 +122,7 @@ def _run(way: F64, inputs: F64, loop: F64, held: F64, states: F64) -> None:
             y[_S + i] = x[_S + i] + follows * (snap[i] - x[_S + i])
             y[_O + i] = x[_O + i] + STEP_S / OBSERVER_S * (u[i] - x[_O + i])
             y[_P + i] = x[_P + i] + STEP_S * x[_V + i]
-            y[_V + i] = x[_V + i] + STEP_S * (x[_A + i] + u[i] + u[2 + i])
+            y[_V + i] = x[_V + i] + STEP_S * (x[_A + i] + u[_FORCE + i] + u[_REST + i])
             y[_A + i] = x[_A + i] + STEP_S * x[_J + i]
             y[_J + i] = x[_J + i] + STEP_S * y[_S + i]
 
@@ -133,18 +144,19 @@ def _cut(x: tuple[float, float], most: float) -> tuple[float, float]:
 @njit
 def _snap_climbed(x: F64, u: F64, at: F64, loop: F64, held: F64, g: tuple[float, float], out: F64) -> None:
     """The gradient by `_snap_asked` (2,) taken back to its state, into `out` (12,): every step is along a vector."""
-    vel_ps, pos_ps2, turn_ps, lag, rotors, late = loop[0], loop[1], loop[2], loop[3], loop[4], loop[5]
+    vel_ps, pos_ps2, turn_ps = loop[_VEL_PS], loop[_POS_PS2], loop[_TURN_PS]
+    lag, rotors, late = loop[_LAG_S], loop[_ROTORS_S], loop[_LATE_S]
     snap, lean, fastest = held[0], held[1], held[2]
     lin = (
-        vel_ps * (at[2] - x[_V] - u[6]) + pos_ps2 * (at[0] - x[_P] - u[4]),
-        vel_ps * (at[3] - x[_V + 1] - u[7]) + pos_ps2 * (at[1] - x[_P + 1] - u[5]),
+        vel_ps * (at[_V] - x[_V] - u[_EV]) + pos_ps2 * (at[_P] - x[_P] - u[_EP]),
+        vel_ps * (at[_V + 1] - x[_V + 1] - u[_EV + 1]) + pos_ps2 * (at[_P + 1] - x[_P + 1] - u[_EP + 1]),
     )
     size = max(math.sqrt(lin[0] * lin[0] + lin[1] * lin[1]), 1e-9)
     share = asked(size, vel_ps, snap)
     back = share, (-share / (3.0 * size * size) if share < 1.0 else 0.0)
     leant = (
-        at[4] + share * lin[0] - SEEN_SHARE * x[_O],
-        at[5] + share * lin[1] - SEEN_SHARE * x[_O + 1],
+        at[_A] + share * lin[0] - SEEN_SHARE * x[_O],
+        at[_A + 1] + share * lin[1] - SEEN_SHARE * x[_O + 1],
     )
     cut = _cut(leant, lean)
     short = cut[0] * leant[0] - x[_A], cut[0] * leant[1] - x[_A + 1]
@@ -157,8 +169,8 @@ def _snap_climbed(x: F64, u: F64, at: F64, loop: F64, held: F64, g: tuple[float,
     turn = turned / size, (steepness - turned / size) / (size * size)
     lead, damped = (1.0 + LEAD_S / lag) / lag, LEAD_S * rotors / (lag * lag)
     wanted = (
-        lead * (at[6] + turn[0] * short[0] - x[_J]) - damped * x[_S],
-        lead * (at[7] + turn[0] * short[1] - x[_J + 1]) - damped * x[_S + 1],
+        lead * (at[_TURN] + turn[0] * short[0] - x[_J]) - damped * x[_S],
+        lead * (at[_TURN + 1] + turn[0] * short[1] - x[_J + 1]) - damped * x[_S + 1],
     )
     g = _through(wanted, *_cut(wanted, snap), g)
     g_short = _through(short, *turn, (lead * g[0], lead * g[1]))
@@ -173,7 +185,7 @@ def _snap_climbed(x: F64, u: F64, at: F64, loop: F64, held: F64, g: tuple[float,
 def _climbed(way: F64, inputs: F64, loop: F64, held: F64, states: F64, toward: F64, uphill: F64) -> F64:
     """The gradient of the place along `toward` (2,) after the last row of `uphill`, by each input there into it (n, 8),
     and by the first state, returned (12,): backwards in time."""
-    follows, seen = 1.0 - math.exp(-STEP_S / loop[4]), STEP_S / OBSERVER_S
+    follows, seen = 1.0 - math.exp(-STEP_S / loop[_ROTORS_S]), STEP_S / OBSERVER_S
     g, change = np.zeros(_STATE), np.empty(_STATE)
     g[_P], g[_P + 1] = toward[0], toward[1]
     for k in range(len(uphill) - 1, -1, -1):
@@ -226,11 +238,11 @@ def _course(kind: int, drawn: F64, steps: int, most: F64, inputs: F64, first: F6
         back = -0.5 * math.pi * i
         along, off = math.cos(angle + back), math.cos(angle + _OFF_RAD + back)
         before = -math.cos(angle - _OFF_RAD + back)
-        first[i], first[2 + i], first[4 + i] = -most[0] * along, most[2] * off, most[3] * off
+        first[i], first[2 + i], first[4 + i] = -most[0] * along, most[2] * off, most[_MOST_EV] * off
         for k in range(len(inputs)):
             force = along if k >= turned else before
             inputs[k, i], inputs[k, 2 + i] = force * most[0], force * most[1]
-            inputs[k, 4 + i], inputs[k, 6 + i] = -most[2] * off, -most[3] * off
+            inputs[k, _EP + i], inputs[k, _EV + i] = -most[2] * off, -most[_MOST_EV] * off
 
 
 @njit
@@ -269,7 +281,7 @@ def _driven(
                     _to_bound(bounds[k, at : at + 2], most[at // 2], bounds[k, at : at + 2])
             _to_bound(g[_O : _O + 2] - g[_A : _A + 2], most[0], ends[:2])
             _to_bound(g[_P : _P + 2], most[2], ends[2:4])
-            _to_bound(g[_V : _V + 2], most[3], ends[4:6])
+            _to_bound(g[_V : _V + 2], most[_MOST_EV], ends[4:6])
             share = 1.0
         tried[:last] = (1.0 - share) * inputs + share * bounds[:last]
         begun[:] = (1.0 - share) * first + share * ends

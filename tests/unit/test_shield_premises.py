@@ -7,7 +7,7 @@ from pathlib import Path
 
 from shield_rig import SITE, Rig, position
 
-from flightstack.cli.shield_premises import Premises
+from flightstack.cli.shield_premises import ShieldPremises
 from flightstack.cli.vehicle_gains import counted_on
 from mavlink_bridge import messages as m
 
@@ -18,7 +18,7 @@ def test_what_the_program_sets_through_the_shield_is_told_once_and_so_is_its_end
     site = tmp_path / "room.toml"
     site.write_text(SITE)
     rig = Rig(site)
-    rig.router.premises = Premises(counted_on(rig.believed))
+    rig.router.premises = ShieldPremises(counted_on(rig.believed))
     rig.say = lambda: position(0.0, 0.0, -2.0)
     rig.run(3.0)
 

@@ -183,7 +183,7 @@ class Linearised:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Design:
+class RawDesign:
     """All candidates at one vehicle before any whitening: (N, channels), with a last axis where there are columns."""
 
     vehicle: Vehicle
@@ -194,7 +194,7 @@ class Design:
     nuisance: tuple[list[F64], F64, Mask]
 
 
-def design(bench: Bench, vehicle: Vehicle, start: Vehicle) -> Design:
+def design(bench: Bench, vehicle: Vehicle, start: Vehicle) -> RawDesign:
     """All candidates at `vehicle`; `start` is the vehicle in which nothing has been named yet."""
     group = candidates(vehicle)
     slots = tuple(
@@ -204,7 +204,7 @@ def design(bench: Bench, vehicle: Vehicle, start: Vehicle) -> Design:
     )
     knobs = [FreeParameter(group[s.candidate].effect, s.parameter, group[s.candidate].variant) for s in slots]
     columns = [np.nan_to_num(x, copy=False) for x in bench.columns(vehicle, knobs)]
-    return Design(vehicle, group, slots, bench.residual(vehicle), columns, bench.nuisance(vehicle))
+    return RawDesign(vehicle, group, slots, bench.residual(vehicle), columns, bench.nuisance(vehicle))
 
 
 def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout | None = None) -> Linearised:
@@ -212,7 +212,7 @@ def linearise(bench: Bench, vehicle: Vehicle, start: Vehicle, *, layout: Layout 
     return whitened(bench, design(bench, vehicle, start), at_start=vehicle is start, layout=layout)
 
 
-def whitened(bench: Bench, raw: Design, *, at_start: bool, layout: Layout | None = None) -> Linearised:
+def whitened(bench: Bench, raw: RawDesign, *, at_start: bool, layout: Layout | None = None) -> Linearised:
     """A design in rows of unit noise; `at_start`: the noise's colour may hold means (`_learn_layout`)."""
     if layout is None:
         sizes = np.array([slot.negligible for slot in raw.slots])

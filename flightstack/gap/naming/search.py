@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from flightstack.effects import EFFECTS
 from flightstack.gap.decisions import ALIKE_EVIDENCE, LINE_ERROR, LINE_ERROR_SHARE, NAME_EVIDENCE
 from flightstack.gap.naming.candidates import Candidate, at_end, at_physical_end, fitted
-from flightstack.gap.naming.design import Bench, Design, Linearised, linearise, whitened
+from flightstack.gap.naming.design import Bench, Linearised, RawDesign, linearise, whitened
 from flightstack.gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
 from flightstack.gap.naming.metric import Metric, bounded_step, metric_of
 from flightstack.gap.simulate import FreeParameter, value, with_value
@@ -118,7 +118,7 @@ def _exclude_at_bound(state: SelectionState) -> bool:
 
 def search(
     bench: Bench,
-    raw: Design,
+    raw: RawDesign,
     apart: Sequence[tuple[str, str]] = (),
     *,
     steady: bool = False,
