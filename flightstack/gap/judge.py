@@ -19,6 +19,7 @@ from flightstack.gap.naming.candidates import negligible, plausible, trifle
 from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.in_file import in_proportion, joined
+from flightstack.gap.naming.one_scale import by_one_scale
 from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, judged_fit, members, move_to
 from flightstack.gap.records import Estimate, IdentifiedEffect
 from flightstack.gap.simulate import FreeParameter, value
@@ -45,6 +46,21 @@ def _chi2_decrease(state: SelectionState, effects: Mapping[str, Mapping[str, flo
 
 
 def pruned(state: SelectionState) -> Fit:
+    """The fit that is judged: the best, pruned, and one thrust for several effects of the file that are off alike."""
+    best = _pruned(state)
+    fewer = by_one_scale(state, best)
+    if fewer is None:
+        return best
+    before = replace(state, fits=dict(state.fits))
+    move_to(state, fewer.vehicle)
+    whole = judged_fit(state, fewer.effects, fewer.vehicle, state.point.rest, fewer.used)
+    if _without_the_thin(state, whole) is whole:
+        return whole
+    _put_back(state, before)
+    return best
+
+
+def _pruned(state: SelectionState) -> Fit:
     """The best fit, less the members whose own evidence is too thin or whose size is trifling.
 
     Evidence is told by columns taken at the best fit itself: far from there they promise the wrong thing.

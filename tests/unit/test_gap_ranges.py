@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import pytest
 
+from benchmarks.gap_cases import make, write
+from benchmarks.gap_rough import spoilt
 from flightstack.gap.name import Selection, name
 from flightstack.gap.naming.ranged import WEIGH
+from flightstack.gap.workflow import analyse
 from flightstack.vehicle import Vehicle
 from tests import gap_batch as batch
 from tests.gap_flights import quad
@@ -71,3 +75,19 @@ def test_a_plain_file_s_single_wrong_number_keeps_its_narrow_interval() -> None:
     assert got.estimate == pytest.approx(quad().mass_kg - heavy.mass_kg, rel=0.02)
     assert got.high - got.low < 0.02
     assert told.found[0].manoeuvre != WEIGH
+
+
+def test_too_much_thrust_in_the_file_is_no_damping_and_no_rotor_s_inertia(tmp_path: Path) -> None:
+    """Five wrong numbers, a delay: load and inertia came out 1.17 times too large, and dampings with them."""
+    case = make("one:transport_delay", 5052011)
+    log, _, _ = write(case, tmp_path, "case")
+    believed = spoilt(case.believed, "all", True, np.random.default_rng([5052011, 7]))
+    found = {each.name: each for each in analyse([log], believed).found}
+    assert set(found) == {"payload", "thrust_scale", "inertia", "thrust_curve", "transport_delay"}
+    true = case.truth
+    scale = found["thrust_scale"].parameters["scale"]
+    assert scale.low <= true.rotors.max_thrust_n / believed.rotors.max_thrust_n <= scale.high
+    for i, axis in enumerate("xyz"):
+        inertia = found["inertia"].parameters[f"scale_{axis}"]
+        assert inertia.low <= true.inertia_kgm2[i] / believed.inertia_kgm2[i] <= inertia.high
+    assert believed.mass_kg + found["payload"].parameters["mass_kg"].estimate == pytest.approx(true.mass_kg, rel=0.01)

@@ -230,7 +230,7 @@ def _swap(state: SelectionState, swaps: Sequence[tuple[tuple[str, str], tuple[st
             vehicle = with_value(vehicle, effect, values)
         group = [state.point.candidates[m] for m in members(state.point.candidates, swapped)]
         _keep(
-            state, group, _fit_from(state, group, _fit_cable_length(state, vehicle) if new == "slung_load" else vehicle)
+            state, group, fit_from(state, group, _fit_cable_length(state, vehicle) if new == "slung_load" else vehicle)
         )
 
 
@@ -278,10 +278,10 @@ def fit_subset(state: SelectionState, subset: Subset) -> Fit:
     vehicle = _stepped(state, subset)
     if any(c.effect == "slung_load" for c in group):
         vehicle = _fit_cable_length(state, vehicle)
-    return _fit_from(state, group, vehicle)
+    return fit_from(state, group, vehicle)
 
 
-def _fit_from(state: SelectionState, group: Sequence[Candidate], vehicle: Vehicle) -> Fit:
+def fit_from(state: SelectionState, group: Sequence[Candidate], vehicle: Vehicle) -> Fit:
     """Gauss-Newton from this vehicle; columns are taken anew while they still promise something else."""
     layout, metric = state.point.layout, state.metric
     rows = layout.stack(state.bench.residual(vehicle))
