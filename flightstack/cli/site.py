@@ -19,9 +19,10 @@ from flightstack.cli.checking import read_bounded
 from flightstack.learning.stored import vehicle_hash
 from flightstack.mission import plan
 from flightstack.model import Limits, Model
+from flightstack.rows import JERK_E, JERK_N
 from flightstack.scenario import Scenario
+from flightstack.site import backup, decide, slide
 from flightstack.site import bend as bending
-from flightstack.site import decide, slide
 from flightstack.site.certificate import prior_of
 from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.file import MOST_BYTES, parse_site
@@ -185,6 +186,8 @@ class SitePlan:
     raised_m: float = 0.0
     """By so much higher than asked for the scenario is flown: it lies lower than the vehicle can stop above the
     floor."""
+    too_fast: float = 0.0
+    """From this share of the track there is no way to a stop, whatever the site: it turns faster than the vehicle."""
 
     def filter(self, model: Model, limits: Limits) -> TimedSiteFilter:
         """The filter."""
@@ -220,6 +223,8 @@ class SitePlan:
         """One line."""
         made, prior = self.certificate, self.certificate.prior
         raised = f", flown {self.raised_m:.2f} m higher to stop above the floor" if self.raised_m else ""
+        if self.too_fast:
+            raised += f"; {100.0 * self.too_fast:.0f} % of the track turn too fast for it to stop from: fly it slower"
         return (
             f"site {self.site.source}, stopping certificate (mass {prior.mass_low:g} to "
             f"{prior.mass_high:g}, {prior.force_g:g} g): {made.radius_m:.2f} m at rest, "
@@ -322,7 +327,7 @@ def plan_site(
         place = mission.reference(t_s).pos_ned_m
         _require_clear(site, flat, place, (kept, half), f"the way to the track, {t_s:.1f} s after take-off,")
     _require_clear(site, flat, landing, (kept, half), "the landing place")
-    return SitePlan(site, certificate, chutes, chute_m, estimate, wider, raised_m)
+    return SitePlan(site, certificate, chutes, chute_m, estimate, wider, raised_m, _too_fast(scenario, certificate))
 
 
 def low_m(certificate: StoppingCertificate, vel_mps: float) -> float:
@@ -332,6 +337,18 @@ def low_m(certificate: StoppingCertificate, vel_mps: float) -> float:
     lag_s = s[slide.SLOW_S] + vel_mps / s[slide.UP]
     slid_m = (lag_s * _NOISE_MPS2 - vel_mps) / s[slide.GAMMA]
     return float(s[slide.HALF] + s[slide.SLOW_S] * vel_mps + 0.5 * vel_mps**2 / s[slide.UP] + max(slid_m, 0.0))
+
+
+def _too_fast(scenario: Scenario, certificate: StoppingCertificate) -> float:
+    """The share of a track's points from which no way comes to rest in time and within the vehicle's lean."""
+    row, half = certificate.rows[certificate.row_of(1.0)], certificate.halves()[1]
+    points, way = np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
+    start, times_s, missing = np.zeros(backup.ROW), np.arange(0.0, scenario.duration_s, _JOINING_S), 0
+    for t_s in times_s.tolist():
+        start[: backup.ASKED_N] = scenario.trajectory.at(t_s).row[: backup.ASKED_N]
+        start[backup.ASKED_N : backup.SNAP_N] = start[JERK_N : JERK_E + 1]
+        missing += backup.roll(start, row, half, points, way) == 0
+    return missing / len(times_s)
 
 
 def _raised_m(scenario: Scenario, site: Site, room_m: float) -> float:

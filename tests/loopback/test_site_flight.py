@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
 from log_samples import proto_class
 
+from flightstack.cli import files
 from flightstack.cli.flight import FlyOptions, fly, prepare
 from flightstack.cli.home import parse_home
 from flightstack.cli.main import main
@@ -134,6 +135,25 @@ def test_where_floor_and_ceiling_are_both_near_a_low_track_is_flown_between_them
     left_m = _clearance_m(made, prepared.scenario, 0.0)
     others = [_clearance_m(made, prepared.scenario, lower_m) for lower_m in (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)]
     assert left_m > max(others)
+
+
+@pytest.mark.parametrize(("lap_s", "is_told"), [(8.0, True), (20.0, False)])
+def test_a_track_that_turns_faster_than_a_slow_vehicle_can_stop_from_is_told_before_it_flies(
+    tmp_path: Path, lap_s: float, is_told: bool
+) -> None:
+    """It was flown up to 2.5 m off at 8 s a lap, on a real PX4 as well; at 20 s a lap 0.26 m off."""
+    vehicle, lap = tmp_path / "light.toml", tmp_path / "lap.toml"
+    text = files.load_vehicle("px4-sihsim-quadx")[1].text
+    vehicle.write_text(text.replace("mass_kg = 1.0 ", "mass_kg = 0.7 "))
+    text = files.load_scenario("figure8")[1].text
+    lap.write_text(text.replace("period_s = 8.0", f"period_s = {lap_s}"))
+    field = HEAD.replace("3.3", "60.0") + "inside = [[-90.0, -90.0], [90.0, -90.0], [90.0, 90.0], [-90.0, 90.0]]\n"
+    options = {"vehicle": str(vehicle), "sensors": "gps", "site": _site(tmp_path, field)}
+    flight = prepare(FlyOptions(scenario=str(lap), **options)).flight  # type: ignore[arg-type]
+    made = flight.protection.site
+    assert made is not None
+    assert ("too fast for it to stop from: fly it slower" in made.words) is is_told
+    assert (made.too_fast > 0.05) is is_told
 
 
 def test_the_control_error_is_from_the_reference_that_was_followed(walled: FlightResult) -> None:
