@@ -29,7 +29,7 @@ from flightstack_logs.turn import rotate
 
 LEVEL = (0, 1)
 """Channels of the specific force along the body's level axes."""
-_KNOTS_S = 1.0
+_KNOTS_S = 0.95
 """What swings faster than half of this asks is not a filter's: of what a real PX4 believed less than 0.3 % of the
 variance lies above 0.35 Hz (`estimator_sensor_bias`); a load sloshes from there on."""
 _MOST_KNOTS = 120

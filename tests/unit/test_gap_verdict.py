@@ -78,11 +78,13 @@ def test_the_first_third_can_be_held_out_in_place_of_the_last() -> None:
 def test_what_the_last_third_taught_is_said_only_where_it_explains_all(
     monkeypatch: pytest.MonkeyPatch, named: bool, significant: bool, closed: float | None, adopted: bool
 ) -> None:
-    turned = SimpleNamespace(found=(SimpleNamespace(name="new"),) * named, unexplained=Unexplained(significant))
+    turned = SimpleNamespace(
+        found=(SimpleNamespace(name="new"),) * named, rejected=(), unexplained=Unexplained(significant)
+    )
     of = pooled.FitHoldoutSplit((), (), ())
     monkeypatch.setattr(workflow, "concluded", lambda *given: (turned, given[1], None))
     monkeypatch.setattr(workflow, "held_out_gap", lambda *given: SimpleNamespace(closed=closed))
-    said = (SimpleNamespace(found=()), of, None)
+    said = (SimpleNamespace(found=(), rejected=()), of, None)
     got = workflow._turned_round(cast(Vehicle, None), (), cast(Any, said), "")
     assert (got is not said) == adopted
 
@@ -95,11 +97,13 @@ def test_beside_names_what_comes_late_is_learned_from_only_where_they_stay(
     monkeypatch: pytest.MonkeyPatch, late: bool, names: tuple[str, ...], adopted: bool
 ) -> None:
     of = pooled.FitHoldoutSplit((), (), ())
-    turned = SimpleNamespace(found=tuple(SimpleNamespace(name=each) for each in names), unexplained=NOTHING)
+    turned = SimpleNamespace(
+        found=tuple(SimpleNamespace(name=each) for each in names), unexplained=NOTHING, rejected=()
+    )
     monkeypatch.setattr(workflow.pooled, "split_by_power", lambda *given: of if late else None)
     monkeypatch.setattr(workflow, "concluded", lambda *given: (turned, given[1], None))
     monkeypatch.setattr(workflow, "held_out_gap", lambda *given: SimpleNamespace(closed=1.0))
-    said = (SimpleNamespace(found=(SimpleNamespace(name="old"),), vehicle=None), of, None)
+    said = (SimpleNamespace(found=(SimpleNamespace(name="old"),), vehicle=None, rejected=()), of, None)
     got = workflow._turned_round(cast(Vehicle, None), (), cast(Any, said), "")
     assert (got is not said) == adopted
 
@@ -146,10 +150,10 @@ def test_what_the_last_of_the_disagreement_confirms_is_said_where_most_is_closed
         return gap_of(of_force(1.0), of_force(rms), of_force(0.0))
 
     of = pooled.FitHoldoutSplit((), (), ())
-    told = SimpleNamespace(found=("effect",) * named, unexplained=Unexplained(True))
+    told = SimpleNamespace(found=("effect",) * named, rejected=(), unexplained=Unexplained(True))
     monkeypatch.setattr(workflow.pooled, "split_by_power", lambda *given: of)
     monkeypatch.setattr(workflow, "concluded", lambda *given: (told, of, left(closed)))
     monkeypatch.setattr(workflow, "held_out_gap", lambda *given: left(before))
-    said = (SimpleNamespace(), of, None)
+    said = (SimpleNamespace(rejected=()), of, None)
     got = workflow._split_by_what_is_off(cast(Vehicle, None), (), cast(Any, said), "")
     assert (got is not said) == adopted
