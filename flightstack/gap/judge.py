@@ -49,15 +49,7 @@ def pruned(state: SelectionState) -> Fit:
     """The fit that is judged: the best, pruned, and one thrust for several effects of the file that are off alike."""
     best = _pruned(state)
     fewer = by_one_scale(state, best)
-    if fewer is None:
-        return best
-    before = replace(state, fits=dict(state.fits))
-    move_to(state, fewer.vehicle)
-    whole = judged_fit(state, fewer.effects, fewer.vehicle, state.point.rest, fewer.used)
-    if _without_the_thin(state, whole) is whole:
-        return whole
-    _put_back(state, before)
-    return best
+    return best if fewer is None else _if_all_stay(state, fewer) or best
 
 
 def _pruned(state: SelectionState) -> Fit:
@@ -72,14 +64,8 @@ def _pruned(state: SelectionState) -> Fit:
     if len(best.effects) < len(key):
         best = _as_good_and_whole(state, key) or best
     fuller = joined(state, best)
-    if fuller is best:
-        return best
-    before = replace(state, fits=dict(state.fits))
-    move_to(state, fuller.vehicle)
-    fuller = judged_fit(state, fuller.effects, fuller.vehicle, state.point.rest, fuller.used)
-    kept = _without_the_thin(state, fuller)
-    if kept is not fuller:
-        _put_back(state, before)
+    kept = None if fuller is best else _if_all_stay(state, fuller)
+    if kept is None:
         return best
     spared = [evidence(state, kept, e) - _evidence_in_full(state, kept, e) for e in kept.effects]
     return replace(kept, score=kept.score - max(spared))
@@ -93,21 +79,24 @@ def _as_good_and_whole(state: SelectionState, best_key: frozenset[str]) -> Fit |
     """
     most = state.fits[best_key].score + ALIKE_EVIDENCE
     others = [(k, f) for k, f in state.fits.items() if k != best_key and len(k) == len(best_key) and f.score < most]
-    before = replace(state, fits=dict(state.fits))
     for _, fit in sorted(others, key=lambda other: other[1].score):
         if state.excluded & set(fit.effects) or effects_at_bound(state.start, fit, state.rope_most_m):
             continue
-        move_to(state, fit.vehicle)
-        whole = judged_fit(state, fit.effects, fit.vehicle, state.point.rest, fit.used)
-        if _without_the_thin(state, whole) is whole:
+        whole = _if_all_stay(state, fit)
+        if whole is not None:
             return whole
-        _put_back(state, before)
     return None
 
 
-def _put_back(state: SelectionState, before: SelectionState) -> None:
-    """The state as it was before columns and fits were taken anew elsewhere."""
+def _if_all_stay(state: SelectionState, fit: Fit) -> Fit | None:
+    """The fit by columns taken at itself; None, and the state as it was, where one of its members is too thin."""
+    before = replace(state, fits=dict(state.fits))
+    move_to(state, fit.vehicle)
+    whole = judged_fit(state, fit.effects, fit.vehicle, state.point.rest, fit.used)
+    if _without_the_thin(state, whole) is whole:
+        return whole
     state.point, state.metric, state.fits, state.rope_m = before.point, before.metric, before.fits, before.rope_m
+    return None
 
 
 def _without_the_thin(state: SelectionState, best: Fit) -> Fit:
