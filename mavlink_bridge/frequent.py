@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import permutations
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,8 @@ _COLUMNS = [list(_elements(number)) for number in NUMBERS.values()]
 _COUNTS = np.array([0, *map(len, _COLUMNS)])
 AT: Final = (0, *(int(place) for place in np.cumsum(_COUNTS)))
 """Where each message's numbers begin in the row, by its number, first its stamp; last, how many there are."""
+DOWN, VEL_DOWN = AT[POSITION] + 3, AT[POSITION] + 6
+"""Where height and vertical velocity stand in the row, NED."""
 _TABLE = np.zeros((1 + len(KINDS), max(_COUNTS), 4), np.int64)
 for _number, _column in enumerate(_COLUMNS, 1):
     _TABLE[_number, : len(_column)] = _column
@@ -94,19 +96,6 @@ class Heard:
     def numbers(self) -> tuple[int, ...]:
         """Which came, in their order."""
         return _ORDERS[self.order]
-
-    def messages(self) -> Iterator[Any]:
-        """One by one, as the link hands them out."""
-        for number in self.numbers:
-            message = _MESSAGES[number - 1]
-            values: list[Any] = self.row[AT[number] : AT[number + 1]].tolist()
-            parts: dict[str, Any] = {}
-            for name, source in _sources(message):
-                whole = not message.layout.field(source.names[0]).is_float
-                count = len(message.element_indices(source))
-                taken, values = tuple(int(v) if whole else v for v in values[:count]), values[count:]
-                parts[name] = taken if message.is_tuple(source) else taken[0]
-            yield KINDS[number - 1](**parts)
 
 
 class Taking:

@@ -18,7 +18,7 @@ _TEXT_MEMORY = 50
 _HEARTBEAT_LATE_US = 2_500_000
 """PX4 sends one a second, and a vehicle's second beside a busy machine lasts longer."""
 _MODE_AND_INTENTION_US = 1_000_000
-_ROUND_TRIPS = 6_000
+_ROUND_TRIPS, _LATEST = 6_000, 10
 """Ten minutes of them."""
 
 
@@ -51,6 +51,10 @@ class VehicleView:
         """(local time of receipt, severity, text), whole messages only."""
         self.round_trips_us: deque[int] = deque(maxlen=_ROUND_TRIPS)
         """Local microseconds from our TIMESYNC questions to their answers."""
+        self.least_round_trip_us = 0
+        """Quickest of the last ten round trips, a second; 0 before the tenth.  A stall does not show in it."""
+        self.round_trip_us = 0
+        """Median of the last ten round trips; 0 before the third one."""
         self.counts: Counter[type] = Counter()
         """Messages taken one by one, by kind."""
         self._partial_text = ""
@@ -90,17 +94,6 @@ class VehicleView:
     def on_ground(self) -> bool:
         """The land detector says so (unknown counts as not on the ground)."""
         return self.landed_state == 1
-
-    @property
-    def least_round_trip_us(self) -> int:
-        """Quickest of the last ten round trips, a second; 0 before the tenth.  A stall does not show in it."""
-        return min(list(self.round_trips_us)[-10:]) if len(self.round_trips_us) >= 10 else 0
-
-    @property
-    def round_trip_us(self) -> int:
-        """Median of the last ten round trips; 0 before the third one."""
-        latest = sorted(list(self.round_trips_us)[-10:])
-        return latest[len(latest) // 2] if len(latest) >= 3 else 0
 
     @property
     def mode_name(self) -> str:
@@ -184,6 +177,9 @@ class VehicleView:
         """The answer to a question of ours carries our own stamp; the vehicle's own questions have tc1 0."""
         if message.tc1_ns:
             self.round_trips_us.append(max(0, now_us - message.ts1_ns // 1000))
+            latest = sorted(list(self.round_trips_us)[-_LATEST:])
+            self.least_round_trip_us = latest[0] if len(latest) >= _LATEST else 0
+            self.round_trip_us = latest[len(latest) // 2] if len(latest) >= 3 else 0
             self.clock.observe_round_trip(message.ts1_ns // 1000, message.tc1_ns // 1000, now_us)
 
 

@@ -369,7 +369,7 @@ def _run(
     on_progress: Callable[[float, str], None],
 ) -> None:
     companion = flight.companion
-    pace = Pace(TICK_MS * 1000, meanwhile=log.meanwhile) if timing is not None else None
+    pace = None if timing is None else Pace(TICK_MS * 1000, is_ahead=timing.is_ahead, meanwhile=log.meanwhile)
     limit_us = int((flight.scenario.duration_s + FLIGHT_TIME_LIMIT_S) * 1e6)
     ticks = 0
     while not companion.done:

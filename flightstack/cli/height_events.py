@@ -11,14 +11,14 @@ import math
 from collections.abc import Callable
 
 from mavlink_bridge import messages as m
-from mavlink_bridge.frequent import AT, IMU, POSITION, Heard
+from mavlink_bridge.frequent import AT, DOWN, IMU, POSITION, Heard
 
 APART_M, TOGETHER_M = 1.0, 0.5
 """Told from the first on; told again only after the second."""
 _SMOOTHED_US = 1_000_000
 _PRESSURE_ALT = 0x0800
 """Of HIGHRES_IMU.fields_updated."""
-_DOWN, _ALTITUDE, _FIELDS = AT[POSITION] + 3, AT[IMU] + 12, AT[IMU] + 14
+_ALTITUDE, _FIELDS = AT[IMU] + 12, AT[IMU] + 14
 """Places in what is heard."""
 
 
@@ -47,7 +47,7 @@ class HeightEvents:
         item = heard.row.item
         for number in heard.numbers:
             if number == POSITION:
-                self._up_m = -item(_DOWN)
+                self._up_m = -item(DOWN)
             elif number == IMU and int(item(_FIELDS)) & _PRESSURE_ALT:
                 self._barometer(t_us, int(item(AT[IMU])), item(_ALTITUDE))
 

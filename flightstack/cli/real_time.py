@@ -48,7 +48,7 @@ class RealTimeLoop:
 
     def run(self) -> None:
         """Until nothing more will happen and the last command has had its time."""
-        pace = Pace(PERIOD_US, meanwhile=self.log.meanwhile)
+        pace = Pace(PERIOD_US, is_ahead=self.timing.is_ahead, meanwhile=self.log.meanwhile)
         with StallWatch(PERIOD_US, told_from_us=STALL_US) as watch:
             while not self._is_over():
                 watch.mark(WAITING)

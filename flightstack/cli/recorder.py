@@ -220,7 +220,7 @@ class LogObserver:
         self.record_to: Callable[[TickRecord], None] | None = None
         """Told each tick."""
         self.message_to: Callable[[int, object], None] | None = None
-        """Told each message of the vehicle."""
+        """Told each message of the vehicle; several at once as they are heard (`Heard`)."""
         self._learner_events = LearnerEvents(self._tell)
         self._filter_events = FilterEvents(self._tell)
         self._estimate_events = EstimateEvents(self._tell)
@@ -310,9 +310,6 @@ class LogObserver:
         self._log.write(MESSAGE, t_us, row.id.to_bytes(3, "little") + row.encode(message))
 
     def _on_heard(self, t_us: int, heard: Heard) -> None:
-        if self.message_to is not None:
-            for message in heard.messages():
-                self.message_to(t_us, message)
         if not self._kept:
             return
         self._height_events.on_heard(t_us, heard)
@@ -323,11 +320,11 @@ class LogObserver:
 
     def on_message(self, t_us: int, message: object) -> None:
         """A message of the vehicle, as a table; or several at once."""
+        if self.message_to is not None:
+            self.message_to(t_us, message)
         if isinstance(message, Heard):
             self._on_heard(t_us, message)
             return
-        if self.message_to is not None:
-            self.message_to(t_us, message)
         if not self._kept:
             return
         self._height_events.on_message(t_us, message)

@@ -18,6 +18,7 @@ from flightstack.types import F64, Learned, TickRecord, Tuple3
 from flightstack_logs.recorder import NoLog
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge.companion import Companion
+from mavlink_bridge.frequent import DOWN, POSITION, VEL_DOWN, Heard
 from mavlink_bridge.messages import LocalPositionNed
 
 if TYPE_CHECKING:
@@ -67,11 +68,14 @@ class FlightScore:
             self.add(track_s, record.measurement.pos_ned_m, companion.start_ned_m)
 
     def on_message(self, t_us: int, message: object) -> None:
-        """What the vehicle says: of an estimated flight its descent is scored by it."""
+        """What the vehicle says, one message or several: of an estimated flight its descent is scored by it."""
         companion = self.companion
-        landing = companion is not None and companion.land_command_us >= 0
-        if self._by_estimate and landing and isinstance(message, LocalPositionNed):
+        if not self._by_estimate or companion is None or companion.land_command_us < 0:
+            return
+        if isinstance(message, LocalPositionNed):
             self.ascent.estimated_descent(float(message.pos_ned_m[2]), float(message.vel_ned_mps[2]))
+        elif isinstance(message, Heard) and POSITION in message.numbers:
+            self.ascent.estimated_descent(message.row.item(DOWN), message.row.item(VEL_DOWN))
 
     def on_truth(self, truth: Truth) -> None:
         """The truth of a tick, from the start of the take-off to the very end."""

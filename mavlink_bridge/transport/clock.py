@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 
-_SPIN_US = 150
+SPIN_US = 150
+"""The system wakes a sleeper some 50 to 100 us late."""
 _SIGNING_EPOCH_NS = 1_420_070_400 * 10**9
 
 
@@ -13,10 +14,10 @@ def monotonic_us() -> int:
     return time.monotonic_ns() // 1000
 
 
-def sleep_until_us(deadline_us: int, spin_us: int = _SPIN_US) -> None:
+def sleep_until_us(deadline_us: int, spin_us: int = SPIN_US) -> None:
     """Return at `deadline_us` of `monotonic_us`, or at once if it has passed.
 
-    The system wakes a sleeper some 50 to 100 us late: the last `spin_us` are spent looking at the clock.
+    The last `spin_us` are spent looking at the clock.
     """
     rest_us = deadline_us - monotonic_us() - spin_us
     if rest_us > 0:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavlink_bridge import messages as m
-from mavlink_bridge.frequent import KINDS, FrequentReader, Heard, Taking
+from mavlink_bridge.frequent import AT, DOWN, KINDS, VEL_DOWN, FrequentReader, Heard, Taking
 from mavlink_bridge.link import Link
 from mavlink_bridge.vehicle_view import VehicleView
 from mavlink_bridge.watchdogs import Watchdogs
@@ -44,12 +44,29 @@ def _links(reading: tuple[int, int] = (1, 1)) -> tuple[Link, Link, Link]:
     return vehicle, single, runs
 
 
+def _messages(heard: Heard) -> list[object]:
+    """Several at once as messages: a stamp, then the triples, then the rest."""
+    found: list[object] = []
+    for number in heard.numbers:
+        stamp, *v = heard.row[AT[number] : AT[number + 1]].tolist()
+        kind, t_us = KINDS[number - 1], int(stamp)
+        if kind is m.HighresImu:
+            found.append(kind(t_us, tuple(v[:3]), tuple(v[3:6]), tuple(v[6:9]), *v[9:13], int(v[13]), int(v[14])))
+        elif kind is m.AttitudeQuaternion:
+            found.append(kind(t_us, tuple(v[:4]), tuple(v[4:])))
+        elif kind is m.LocalPositionNed:
+            found.append(kind(t_us, tuple(v[:3]), tuple(v[3:])))
+        else:
+            found.append(kind(t_us, int(v[16]), tuple(map(int, v[:16]))))
+    return found
+
+
 def _one_by_one(link: Link) -> list[str]:
     """What a link hands out, messages of a run one by one; as text, so that NaN is NaN."""
     found: list[object] = []
     for received in link.take_events():
         message = received.message
-        found += message.messages() if isinstance(message, Heard) else [message]
+        found += _messages(message) if isinstance(message, Heard) else [message]
     return [repr(message) for message in found]
 
 
@@ -113,7 +130,7 @@ def test_a_run_is_of_one_sender_and_holds_each_kind_once() -> None:
         vehicle.send(m.LocalPositionNed(4000, ZERO, ZERO))
     for data in vehicle.datagrams_to_send(1400):
         runs.receive_datagram(data, 0)
-    assert [[type(message) for message in event.message.messages()] for event in runs.take_events()] == 2 * [
+    assert [[type(message) for message in _messages(event.message)] for event in runs.take_events()] == 2 * [
         [m.AttitudeQuaternion, m.LocalPositionNed]
     ]
     _, _, others = _links((7, 1))
@@ -136,4 +153,13 @@ def test_every_kind_is_read_in_runs(kind: type) -> None:
         runs.receive_datagram(data, 0)
     (event,) = runs.take_events()
     assert isinstance(event.message, Heard)
-    assert [repr(message) for message in event.message.messages()] == [repr(sample)]
+    assert [repr(message) for message in _messages(event.message)] == [repr(sample)]
+
+
+def test_height_and_vertical_velocity_stand_where_they_are_said_to() -> None:
+    vehicle, _, runs = _links()
+    vehicle.send(m.LocalPositionNed(4000, (1.0, 2.0, -3.0), (4.0, 5.0, 6.0)))
+    for data in vehicle.datagrams_to_send():
+        runs.receive_datagram(data, 0)
+    (event,) = runs.take_events()
+    assert (event.message.row[DOWN], event.message.row[VEL_DOWN]) == (-3.0, 6.0)
