@@ -22,13 +22,15 @@ from flightstack_logs import scene as viewer
 from flightstack_logs.topics import Attachment
 from flightstack_logs.writer import FlightLog
 
-POLL_S = 0.01
+POLL_S = 0.05
 FLUSH_S = 0.6
 """Without a chunk for so long, a little longer than a log's own, one is closed: the vehicle's time stands still."""
 CAPACITY = 20_000
 """About six seconds of a flight."""
 BACKLOG = 2_000
 """With so many calls in the queue, a second of a flight, it is written whatever the loop does."""
+_WORTH_WAKING = 32
+"""Calls, of some four ticks: a thread that is woken each tick costs more than it does."""
 _CALL_US, _PIECE_US = 100, 600
 """Most of the time that a call of the queue takes, and a piece of a chunk."""
 _GONE_US = 50_000
@@ -50,6 +52,7 @@ class ThreadedLog:
         self._free_until_us: float = math.inf
         self._chunk_s = time.monotonic()
         """When the last chunk was closed."""
+        self._closing_chunk = False
         self._wake = threading.Lock()
         """Held while the thread waits to be woken."""
         self._wake.acquire()
@@ -144,9 +147,9 @@ class ThreadedLog:
         self._late = self._thread.is_alive()
 
     def meanwhile(self, until_us: int) -> None:
-        """The loop sleeps until then, by time.monotonic: what is queued is written."""
+        """The loop sleeps until then, by time.monotonic: what is queued is written, once it is worth it."""
         self._free_until_us = until_us
-        if self._wake.locked():
+        if (self._closing_chunk or len(self._queue) >= _WORTH_WAKING) and self._wake.locked():
             self._wake.release()
 
     def _has_room(self, for_us: int) -> bool:
@@ -156,8 +159,10 @@ class ThreadedLog:
 
     def _await_room(self) -> None:
         self._chunk_s = time.monotonic()
+        self._closing_chunk = True
         while not self._has_room(_PIECE_US):
             self._wake.acquire(timeout=self._poll_s)
+        self._closing_chunk = False
 
     def _run(self) -> None:
         while not self._stop.is_set():
