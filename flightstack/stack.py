@@ -167,7 +167,8 @@ class Stack:
             setpoint = setpoint if premises.rest is None else premises.rest
             bent = self.filter.bend(safe, setpoint)
             control = self._handed(control, state.watch, premises, now_us)
-            control, proposal = self._pilot(premises).step(control, seen, bent, learned, sent, now_us)
+            met, bent, forward = _met(self._pilot(premises), seen, bent, learned)
+            control, proposal = self._pilot(premises).step(control, met, bent, forward, sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
             wanted, turned = self.guard.turn_back(wanted, seen, origin, carried, now_us)
             safe, wanted, filtered = self.filter.step(safe, seen, wanted, sent, learned)
@@ -214,6 +215,20 @@ _NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))
 _NOT_LEARNING = Learned.nothing()
 _UNFILTERED = Filtered.nothing()
 _ENGAGED = 2.0
+
+
+def _met(
+    pilot: Controller, seen: Measurement, bent: FlatOutput, learned: Learned
+) -> tuple[Measurement, FlatOutput, Learned]:
+    """State, reference and what is fed forward as a command that goes out now will meet them, beyond what the link
+    takes; the filter goes by the state as it is, and by its certificate's own delay."""
+    if seen.felt is None or not isinstance(pilot, FlatnessController):
+        return seen, bent, learned
+    span_s, row = 1e-6 * seen.late_us, learned.row.copy()
+    row[0:3] += span_s * row[3:6]
+    ages_us = seen.position_age_us, seen.attitude_age_us, seen.imu_age_us
+    met = Measurement(seen.t_us + seen.late_us, seen.felt, *ages_us, seen.battery_v)
+    return met, bent.later(span_s), Learned(row)
 
 
 def _watched(certificate: Certificate, model: Model) -> WatchState:

@@ -106,6 +106,7 @@ class StateObserver:
             measurement.attitude_age_us,
             measurement.imu_age_us,
             measurement.battery_v,
+            measurement.late_us,
         )
 
 

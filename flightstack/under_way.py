@@ -10,9 +10,16 @@ While a certificate is in force its delay, gain and mean accelerations count ins
 filter predicts from here on goes on with one prediction from the sample, off by what the certificate says of them.  The
 ledger's line `age` pays for it.  (Force as measured would be off by twice that and by the accelerometer's noise, and
 where rotors are not as believed by all that they owe.)
+
+What a command of this tick will meet is the state by what the link takes later (`Measurement.late_us`): `felt`, the
+same chain carried on with the commands that act until then, the rest of the force as it was on average of late, since
+one sample's noise over so long would move the velocity.  The controller goes by it.  Source: O. Smith, "Closer control
+of loops with dead time", 1957.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -26,8 +33,10 @@ from flightstack.barrier.response import (
     C_SPECIFIC,
     C_THRUST_DELAY,
     CHAIN,
+    COMMAND,
     M_ROTORS,
     RING,
+    S_ROTORS,
     STATE,
     ahead,
     follow_rotors,
@@ -39,14 +48,20 @@ from flightstack.frames import quat_to_matrix
 from flightstack.jit import Entry, njit
 from flightstack.model import Model, thrust_to_norm
 from flightstack.rows import ATTITUDE, FORCE_X, FORCE_Y, FORCE_Z, VEL_D, VEL_N
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Learned, Measurement
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Learned, Measurement, Tuple3
 
 _MOST_US = 50_000
 """Over more than this nothing is carried: the ages tell the guard."""
+LATE_MOST_US = 60_000
+"""Nor further ahead than this."""
 _PAUSE_US = 100_000.0
 """After a longer pause others give the commands."""
 _NEVER_S = 1e9
 _NONE = np.zeros(P_BOUNDS)
+_STEADY_US = 100_000.0
+"""Over so long the rest of the force is averaged."""
+_AVERAGED = RING + 1
+"""Row of the memory after the commands: the mean rest of the force NED (3), its time."""
 
 
 class UnderWay:
@@ -62,36 +77,44 @@ class UnderWay:
 
     def init(self) -> F64:
         """Nothing was sent."""
-        return new_memory()
+        memory = np.zeros((_AVERAGED + 1, COMMAND))
+        memory[:_AVERAGED] = new_memory()
+        memory[_AVERAGED, 3] = -np.inf
+        return memory
 
     def carry(
         self, memory: F64, measurement: Measurement, sent: Command, learned: Learned, now_us: int,
         in_force: F64 | None = None,
     ) -> Measurement:  # fmt: skip
         """The state at `now_us`; `sent`: the newest command, as applied; `in_force`: a certificate (`packed`)."""
-        late_us = now_us - measurement.t_us
-        delay_s = learned.delay_s if learned.delay_s >= 0.0 else self._delay_s
-        row = measurement.row.copy()
-        times_us = (float(measurement.t_us), float(measurement.t_us + min(max(late_us, 0), _MOST_US)))
+        age_us, late_us = max(now_us - measurement.t_us, 0), measurement.late_us
+        delay_s = learned.delay_s if learned.delay_s >= 0.0 else self._delay_s + 1e-6 * late_us
+        row, felt = measurement.row.copy(), measurement.row.copy()
+        to_us = measurement.t_us + min(age_us, _MOST_US)
+        times_us = (float(measurement.t_us), float(to_us), float(to_us + min(late_us, LATE_MOST_US)))
         _CARRY.call(
             memory, self._chain, round(1e6 * delay_s), learned.thrust_gain, times_us,
-            (float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps), row, _NONE if in_force is None else in_force,
+            (float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps), row, felt,
+            _NONE if in_force is None else in_force,
         )  # fmt: skip
-        if late_us <= 0:
+        if not age_us + late_us:
             return measurement
         return Measurement(
-            now_us, row, measurement.position_age_us + late_us, measurement.attitude_age_us + late_us,
-            measurement.imu_age_us + late_us, measurement.battery_v,
+            measurement.t_us + age_us, row, measurement.position_age_us + age_us, measurement.attitude_age_us + age_us,
+            measurement.imu_age_us + age_us, measurement.battery_v, late_us, felt if late_us else None,
         )  # fmt: skip
 
 
 @njit
 def _carry(
-    memory: F64, constants: F64, delay_us: float, gain: float, times_us: tuple[float, float],
-    sent: tuple[float, float, F64], row: F64, flat: F64,
+    memory: F64, constants: F64, delay_us: float, gain: float, times_us: Tuple3, sent: tuple[float, float, F64],
+    row: F64, felt: F64, flat: F64,
 ) -> None:  # fmt: skip
-    """`row` (20,), a Measurement's at the first of `times_us`, becomes that of the second; `flat`: `packed`, or 0."""
-    from_us, to_us = times_us
+    """`row` (20,), a Measurement's at the first of `times_us`, becomes that of the second, `felt` that of the third.
+
+    `flat`: `packed`, or 0.
+    """
+    from_us, to_us, felt_us = times_us
     remember(memory, *sent)
     chain = constants.copy()
     chain[C_THRUST_DELAY] = chain[C_RATE_DELAY] = delay_us
@@ -99,7 +122,7 @@ def _carry(
     if flat[P_CERTIFIED : P_CERTIFIED + 3].max() > 0.0:
         chain[:] = flat[P_CHAIN:P_BOUNDS]
     follow_rotors(memory, chain, from_us)
-    if not to_us > from_us:
+    if not felt_us > from_us:
         return
     if not ours:
         chain[C_ROTOR_LAG] = chain[C_RATE_LAG] = _NEVER_S  # rotors and rates go on as they are
@@ -111,14 +134,38 @@ def _carry(
     for i in range(3):
         offset[i] = r[i, 0] * row[FORCE_X] + r[i, 1] * row[FORCE_Y] + r[i, 2] * along
     offset[2] += STANDARD_GRAVITY_MPS2
+    steady = _averaged(memory[_AVERAGED], offset, from_us) if felt_us > to_us else offset
     for i in range(3):
         if ours and flat[P_CERTIFIED + i] > 0.0:
-            offset[i] = column_at(table_of(flat, i), 1, row[VEL_N + i])
+            offset[i] = steady[i] = column_at(table_of(flat, i), 1, row[VEL_N + i])
     ahead(memory, chain, row, from_us, to_us, offset, gain, state)
     for i in range(13):
-        row[i] = state[i]
+        row[i] = felt[i] = state[i]
+    if felt_us > to_us:
+        rotors = memory[0, M_ROTORS]
+        memory[0, M_ROTORS] = state[S_ROTORS]
+        ahead(memory, chain, row, to_us, felt_us, steady, gain, state)
+        memory[0, M_ROTORS] = rotors  # as of the sample
+        for i in range(13):
+            felt[i] = state[i]
 
 
-_CARRY = Entry(_carry, "f8[:, ::1], f8[::1], f8, f8, UniTuple(f8, 2), Tuple((f8, f8, f8[::1])), f8[::1], f8[::1]")
+@njit
+def _averaged(kept: F64, offset: F64, t_us: float) -> F64:
+    """The mean of the rest of the force with one more sample of it (no number: none); `kept`: a row of the memory."""
+    since_us, mean = t_us - kept[3], np.empty(3)
+    share = 1.0 if not 0.0 <= since_us <= _PAUSE_US else 1.0 - math.exp(-since_us / _STEADY_US)
+    if not math.isfinite(offset.sum()):
+        return offset
+    kept[3] = t_us
+    for i in range(3):
+        kept[i] += share * (offset[i] - kept[i])
+        mean[i] = kept[i]
+    return mean
+
+
+_CARRY = Entry(
+    _carry, "f8[:, ::1], f8[::1], f8, f8, UniTuple(f8, 3), Tuple((f8, f8, f8[::1])), f8[::1], f8[::1], f8[::1]"
+)
 
 __all__ = ["UnderWay"]

@@ -79,6 +79,7 @@ def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
         streams.imu(now_us, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0))
     late = predict(streams, now_us)
     assert late is not None
+    late.late_us = 20_000
     stack.tick(state, stack.carried(state, late, 10 * now_us), setpoint, 10 * now_us)
     return record
 

@@ -176,7 +176,7 @@ class Companion:
         self.last_t_us = t_us
         measured = sampled(self.view.streams, t_us, corrected=self._refiner is None)
         if measured is not None:
-            measured.battery_v = self.view.battery_v
+            measured.battery_v, measured.late_us = self.view.battery_v, self.view.way.late_us
             measured = measured if self._refiner is None else self._refiner.refine(measured)
             measured = self._stack.carried(self._stack_state, measured, t_us)
         self._measurement = measured
@@ -188,7 +188,7 @@ class Companion:
         now.unfit, now.trouble = self._watch.judge()
         if now.dead_man_lost and self.view.params.needs_dead_man:
             now.trouble = now.trouble or "dead-man-lost"
-        if self.view.least_round_trip_us > 1e6 * ROUND_TRIP_MAX_S:
+        if self.view.is_slower_than(ROUND_TRIP_MAX_S):
             now.trouble = now.trouble or "slow-link"
         if now.state is State.LANDING and not self._landing and now.stalls.is_held and not now.stalls.judge(now_us):
             now.entered_us = now_us  # the Hold is ours: landing goes on

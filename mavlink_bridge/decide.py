@@ -22,7 +22,7 @@ from mavlink_bridge.vehicle_view import VehicleView
 SECOND_US = 1_000_000
 _ESTIMATOR_READY = 0x27
 """ESTIMATOR_STATUS.flags: attitude, horizontal and vertical velocity, height."""
-ROUND_TRIP_MAX_S = 0.04
+ROUND_TRIP_MAX_S = 0.055
 """Median of the last round trips: what is later than 20 ms one way is no good for body rates."""
 _LANDING_S, _LANDING_MPS = 60.0, 0.3
 _DISARMS_AFTER_S = 2.0

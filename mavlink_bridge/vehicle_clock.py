@@ -7,6 +7,9 @@ buckets gives offset and rate.  A simulator may run several times faster than re
 
 One-way stamps can't tell a vehicle whose clock stood still for a moment (a simulator on a busy machine) from a link
 that became slow.  Round trips (TIMESYNC) can: one that is quick and contradicts the line shows a clock that slipped.
+On a link whose trips are never quick the line's time of a question is compared: the vehicle's answer may come to hold
+more than that when the link slows down, but less only where the clock stood still, or where the whole trip became
+quicker by as much.
 """
 
 from __future__ import annotations
@@ -23,6 +26,12 @@ _SLIP_US = 2_000
 _AHEAD_US = 10_000
 """A stamp so far ahead of the line: the clock ran ahead, and a line through both sides of that has a wrong rate."""
 _TRIPS = 6
+_REMEMBERED = 20
+"""Round trips with which a new one is compared, two seconds of them."""
+_STOOD_US = 5_000
+"""By so much less an answer holds after the clock stood still; less than that harms nobody."""
+_FITTED = 4
+"""Buckets after which the rate is known well enough for that."""
 
 
 class VehicleClock:
@@ -41,6 +50,10 @@ class VehicleClock:
         self._buckets: deque[tuple[int, int]] = deque(maxlen=_BUCKETS)
         self._trips: deque[tuple[int, int]] = deque(maxlen=_TRIPS)
         """Local and vehicle time in the middle of the last round trips."""
+        self._ways: deque[tuple[int, int]] = deque(maxlen=_REMEMBERED)
+        """By how much their answers were later than the line had it when they were asked, and what they took."""
+        self._fits = False
+        """The rate has once been fitted to a second of stamps."""
 
     @property
     def synchronised(self) -> bool:
@@ -77,7 +90,15 @@ class VehicleClock:
     def observe_round_trip(self, asked_us: int, vehicle_us: int, answered_us: int) -> None:
         """Take an answered TIMESYNC: local times of question and answer, and the vehicle's time in between."""
         trip_us = answered_us - asked_us
-        if self._anchor is None or not 0 <= trip_us <= _ROUND_TRIP_MAX_US:
+        if self._anchor is None or trip_us < 0:
+            return
+        if self._has_stood(vehicle_us - self.vehicle_us(asked_us), trip_us):
+            self.slips += 1
+            rate = self.rate
+            self._restart(vehicle_us, answered_us)
+            self.rate = rate
+            return
+        if trip_us > _ROUND_TRIP_MAX_US:
             return
         middle_us = (asked_us + answered_us) // 2
         error_us = vehicle_us - self.vehicle_us(middle_us)
@@ -102,15 +123,24 @@ class VehicleClock:
         local0, stamp0 = self._anchor
         return stamp0 + round((local_us - local0) * self.rate)
 
+    def _has_stood(self, way_us: int, trip_us: int) -> bool:
+        """Whether an answer is less late than any of late, by more than the trip was quicker."""
+        least_us = min((way for way, _ in self._ways), default=way_us)
+        quicker_us = max(min((trip for _, trip in self._ways), default=trip_us) - trip_us, 0)
+        self._ways.append((way_us, trip_us))
+        return self._fits and least_us - way_us - quicker_us * max(1.0, self.rate) > _STOOD_US * max(1.0, self.rate)
+
     def _restart(self, stamp_us: int, local_us: int) -> None:
         self._anchor = (local_us, stamp_us)
         self._bucket_id, self._best = local_us // _BUCKET_US, (local_us, stamp_us)
         self._buckets.clear()
+        self._ways.clear()
         self.rate = 1.0
 
     def _fit(self) -> None:
         """A line with the median of the buckets' slopes (robust to bursts), through the pair with the least latency."""
         if len(self._buckets) < 2:
             return
+        self._fits = self._fits or len(self._buckets) >= _FITTED
         self.rate = median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._buckets, 2))
         self._anchor = max(self._buckets, key=lambda pair: pair[1] - self.rate * pair[0])

@@ -10,6 +10,7 @@ from typing import Any
 from flightstack.predictor import Streams
 from mavlink_bridge import messages as m
 from mavlink_bridge.command_latency import CommandLatency
+from mavlink_bridge.command_way import CommandWay
 from mavlink_bridge.px4 import ARMED_BIT, MAIN_OFFBOARD, describe_mode, main_mode
 from mavlink_bridge.vehicle_clock import VehicleClock
 from mavlink_bridge.vehicle_params import ParamReader
@@ -18,6 +19,7 @@ _TEXT_MEMORY = 50
 _HEARTBEAT_LATE_US = 2_500_000
 """PX4 sends one a second, and a vehicle's second beside a busy machine lasts longer."""
 _MODE_AND_INTENTION_US = 1_000_000
+_QUICK_US = 40_000
 _ROUND_TRIPS, _LATEST = 6_000, 10
 """Ten minutes of them."""
 
@@ -43,6 +45,7 @@ class VehicleView:
         """Latitude and longitude; None: not told."""
         self.params = ParamReader()
         self.latency = CommandLatency()
+        self.way = CommandWay()
         self.version: m.AutopilotVersion | None = None
         self.streams = Streams()
         self.battery_v = float("nan")
@@ -94,6 +97,10 @@ class VehicleView:
     def on_ground(self) -> bool:
         """The land detector says so (unknown counts as not on the ground)."""
         return self.landed_state == 1
+
+    def is_slower_than(self, round_trip_s: float) -> bool:
+        """Whether the link has become slower: half of a second's trips, and none of them was a quick one."""
+        return self.round_trip_us > 1e6 * round_trip_s and self.least_round_trip_us > _QUICK_US
 
     @property
     def mode_name(self) -> str:
@@ -180,7 +187,9 @@ class VehicleView:
             latest = sorted(list(self.round_trips_us)[-_LATEST:])
             self.least_round_trip_us = latest[0] if len(latest) >= _LATEST else 0
             self.round_trip_us = latest[len(latest) // 2] if len(latest) >= 3 else 0
-            self.clock.observe_round_trip(message.ts1_ns // 1000, message.tc1_ns // 1000, now_us)
+            asked_us, vehicle_us = message.ts1_ns // 1000, message.tc1_ns // 1000
+            self.clock.observe_round_trip(asked_us, vehicle_us, now_us)
+            self.way.answered(vehicle_us - self.clock.vehicle_us(asked_us))
 
 
 _PREARM_BIT = 1 << 28

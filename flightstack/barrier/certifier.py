@@ -50,6 +50,8 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Mea
 _VALID = 2
 _SPARED_MORE = 0.03
 """h that a path is given besides, for which alone a certificate is replaced."""
+_LINK_S = 0.003
+"""A delay that samples were made with and that is so much more than the file's is the link's, evident or not."""
 _PATIENCE, _EAGER = 16.0, 1.0
 """Longest wait in periods, with a certificate in force and without."""
 _IN_VAIN_US = 1_500_000
@@ -333,6 +335,8 @@ class OnlineCertifier:
         """One axis to be designed, and what a barrier on it needs."""
         model, box, config = self.model, knowledge.budget, self.config
         delay = learned.latency_s if learned.latency_s > 0.0 else model.transport_delay_s
+        if not learned.latency_s > 0.0 and learned.delay_s - delay > _LINK_S:
+            delay = learned.delay_s  # the link's, which the samples were made with
         steer = 1.0 / config.attitude_p_ps
         authority, coupling = knowledge.authorities[axis], 0.0
         accuracy = Accuracy(

@@ -95,7 +95,7 @@ class Seen(NamedTuple):
     """At the tick before the filter found the vehicle inside with the h that it engages at."""
 
 
-_LEAN, _THRUST, _JITTER, _INTERVAL, _BATTERY, _DRAG, _AGE = 6, 10, 18, 19, 20, 22, 25
+_LEAN, _THRUST, _DELAY, _JITTER, _INTERVAL, _BATTERY, _DRAG, _AGE = 6, 10, 16, 18, 19, 20, 22, 25
 """Of a watch's numbers, after the speeds: what has a range takes two."""
 
 
@@ -138,7 +138,7 @@ def ended_by(state: WatchState, measurement: Measurement, premise: int) -> Watch
 def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: float, yaw_rad: float) -> WatchState:
     """One tick with an engaged filter."""
     ages_s, learned = ages_of(measurement), seen.learned
-    latency_s = learned.latency_s if learned.latency_s > 0.0 else math.nan
+    latency_s = _latency_s(measurement, learned, float(state.numbers[_DELAY]))
     gain = math.nan
     if learned.stage >= _VALID:
         gain = _GAIN.call(state.numbers, state.down, measurement.row, learned.row, learned.applied_thrust_n / mass_kg)
@@ -153,6 +153,13 @@ def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: floa
     if state.ended or not (broken_s >= BREACH_S or lapsed_s >= LAPSED_S or strayed):
         return after
     return after._replace(ended=state.broken if strayed else broken, rest=_rest(measurement, yaw_rad))
+
+
+def _latency_s(measurement: Measurement, learned: Learned, least_s: float) -> float:
+    """What is known of the commands' latency; NaN: nothing.  The link's part of it breaks no lower end."""
+    if learned.latency_s > 0.0:
+        return learned.latency_s
+    return max(1e-6 * measurement.late_us, least_s) if measurement.late_us else math.nan
 
 
 def _summed(before_s: float, more_s: float, span_s: float) -> float:

@@ -53,11 +53,15 @@ def require_premises(path: Path, certificate: Certificate, sensors: str) -> None
 
 
 def round_trip_max_s(certificate: Certificate | None) -> float:
-    """Longest round trip with which a certificate can hold: there and back, each no later than its commands may be."""
+    """Longest round trip with which a certificate can hold.
+
+    Samples count as new when they arrive, so all that the link takes, there and back, is between a command and what is
+    seen of it (`mavlink_bridge.command_way`); the answer itself is heard a tick later at most.
+    """
     premises = None if certificate is None else certificate.premises
     if premises is None:
         return ROUND_TRIP_MAX_S
-    return min(ROUND_TRIP_MAX_S, 2.0 * (premises.delay_s[1] + premises.jitter_s))
+    return min(ROUND_TRIP_MAX_S, premises.delay_s[1] + premises.jitter_s + COMMAND_INTERVAL_S)
 
 
 def certificate_for(file: files.TextFile, mode: str, believed: Vehicle, model: Model, limits: Limits) -> Certificate:

@@ -34,8 +34,8 @@ def recorded_ticks(log: Log) -> Iterator[tuple[Measurement, Command]]:
             float(sent["thrust_norm"][before]),
             sent["rate_frd_radps"][before],
         )
-        ages = (int(tick[name][i]) for name in ("position_age_us", "attitude_age_us", "imu_age_us"))
-        yield Measurement(int(tick.t_us[i]), rows[i], *ages), command
+        position, attitude, imu = (int(tick[name][i]) for name in ("position_age_us", "attitude_age_us", "imu_age_us"))
+        yield Measurement(int(tick.t_us[i]), rows[i], position, attitude, imu), command
 
 
 def learn(logs: list[Path], vehicle: str | None, out: Path) -> StoredPriors:

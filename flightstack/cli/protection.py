@@ -102,7 +102,8 @@ class Protection:
     @property
     def round_trip_max_s(self) -> float:
         """Longest round trip of the link with which the flight may begin."""
-        return round_trip_max_s(self.given)
+        most_s = round_trip_max_s(self.given)
+        return most_s if self.site is None else min(most_s, SITE_ROUND_TRIP_MAX_S)
 
     def link_too_slow(self, companion: Companion) -> bool:
         """Whether the flight was refused because its link is slower than the certificate that was given holds for."""
@@ -130,6 +131,10 @@ class Protection:
     def watched(self) -> WatchedCertifier | None:
         """The certifier whose certificates are kept; None where there is none."""
         return self.certifier if isinstance(self.certifier, WatchedCertifier) else None
+
+
+SITE_ROUND_TRIP_MAX_S = 0.04
+"""A site without a certificate of its own counts on the vehicle file's delay: with more than this none was flown."""
 
 
 def protect(

@@ -381,5 +381,6 @@ class ShieldRouter:
         measurement = sampled(self.view.streams, t_us, corrected=self._refiner is None)
         if measurement is None:
             return None
+        measurement.late_us = self.view.way.late_us
         measurement = measurement if self._refiner is None else self._refiner.refine(measurement)
         return self._stack.carried(self._state, measurement, t_us)

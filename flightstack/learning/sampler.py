@@ -16,7 +16,8 @@ measured specific force along the thrust axis, both without what is slower than 
 is slow), forgetting over some seconds.  The delay with the least residual wins once thrust has been excited enough, it
 explains half of the force's fast part, and its lead is clear.  It is unknown (NaN), and the delay of the file stands,
 until so much is explained and delays two steps away leave clearly more, by what so many samples can tell: PX4's
-simulator's IMU is too noisy to show it.
+simulator's IMU is too noisy.  What the link is known to take (`Measurement.late_us`) is in the delay from
+the start, and moves it as soon as it changes.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import numpy as np
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import Entry, njit
 from flightstack.learning import asked
+from flightstack.learning.tilt import tilt_axes as tilt_axes
 from flightstack.model import Model
 from flightstack.rows import VEL_D
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Measurement
@@ -58,6 +60,8 @@ _TOLD = 7.4
 """And by so much more, over the number of samples: a true delay that seems so much worse is one in 40 (chi squared of
 two, delay and lag)."""
 _GAP_MAX_S = 0.05
+_LINK_CHANGED = 0.75
+"""Steps by which what the link takes must differ before the delay follows: not to and fro between two."""
 _SAME_S = 5e-7
 """Stamps of whole microseconds that differ by less are one."""
 _THRUST_LEAST_WEIGHTS = 0.3
@@ -82,7 +86,8 @@ _B_U, _B_SLOW, _B_COUNT, _B_TT, _B_TF, _B_FF = range(6)  # lagged u, slow part o
 _BANK = 6
 _M_EVIDENT = _M_BANK + _BANK * _CANDIDATES
 _M_RUN_S = _M_EVIDENT + 1
-_M_ASKED = _M_RUN_S + 1  # thrust that the reference asks for
+_M_LINK = _M_RUN_S + 1  # steps of the delays that the link accounts for
+_M_ASKED = _M_LINK + 1  # thrust that the reference asks for
 _MEMORY = _M_ASKED + asked.ROW
 
 # What a sample is, one row.
@@ -126,7 +131,7 @@ class Sampler:
         """One sample into `out` (SAMPLE,): OK is 0 where it is not fit to learn from."""
         _SAMPLED.call(
             self._constants, memory, measurement.row, sent.rate_frd_radps, float(sent.thrust_norm),
-            (sent.t_us * 1e-6, measurement.t_us * 1e-6, measurement.imu_age_us * 1e-6), out,
+            (sent.t_us * 1e-6, measurement.t_us * 1e-6, measurement.imu_age_us * 1e-6), measurement.late_us * 1e-6, out,
         )  # fmt: skip
 
     def renew(self, memory: F64) -> None:
@@ -141,23 +146,6 @@ class Sampler:
         out[0] are 0 and (R / 4h)^2: per unit of thrust; those of out[1] are 0 and its derivative.
         """
         _REFERENCE.call(self._constants, memory, reference.row, learned, out)
-
-
-@njit
-def tilt_axes(axis_n: float, axis_e: float, out: F64) -> None:
-    """(3, 3) into `out`: tilt axes to NED for a thrust axis (down part positive); exact, no trigonometry."""
-    squared = axis_n * axis_n + axis_e * axis_e
-    down = math.sqrt(max(1.0 - squared, 0.0))
-    share = 1.0 / (1.0 + down)
-    out[0, 0] = 1.0 - share * axis_n * axis_n
-    out[0, 1] = -share * axis_n * axis_e
-    out[0, 2] = axis_n
-    out[1, 0] = out[0, 1]
-    out[1, 1] = 1.0 - share * axis_e * axis_e
-    out[1, 2] = axis_e
-    out[2, 0] = -axis_n
-    out[2, 1] = -axis_e
-    out[2, 2] = down
 
 
 @njit
@@ -267,9 +255,18 @@ def _remember(memory: F64, t_sent: float, norm: float, rate: F64) -> None:
 
 
 @njit
+def _follow_link(memory: F64, late_s: float) -> None:
+    """Move the present candidate by what the link takes more or less than before."""
+    steps = late_s / _CANDIDATE_STEP_S
+    if abs(steps - memory[_M_LINK]) > _LINK_CHANGED:
+        moved = memory[_M_PICK] + round(steps) - memory[_M_LINK]
+        memory[_M_PICK], memory[_M_LINK] = min(max(moved, 0.0), _CANDIDATES - 1.0), round(steps)
+
+
+@njit
 def _sample(
     constants: F64, memory: F64, measured: F64, sent_rate: F64, norm: float, times_s: tuple[float, float, float],
-    out: F64,
+    late_s: float, out: F64,
 ) -> None:  # fmt: skip
     """`measured` (20,): a Measurement's row; the rest as in `Sampler.step`."""
     t_sent, now, imu_age = times_s
@@ -287,6 +284,7 @@ def _sample(
         memory[_M_GROUND] = pos[2]
         memory[_M_START : _M_START + 3] = pos
     _remember(memory, t_sent, norm, sent_rate)
+    _follow_link(memory, late_s)
     imu_time = now - imu_age
     dt = imu_time - memory[_M_IMU_S]
     fresh = _SAME_S < dt <= _GAP_MAX_S and memory[_M_IMU_S] >= 0.0
@@ -396,5 +394,5 @@ def _at_reference(constants: F64, memory: F64, reference: F64, learned: F64, out
     out[1, GROUND] = 2.0 * near * reference[VEL_D] / height if height > 0.5 * constants[_C_ROTOR_RADIUS] else 0.0
 
 
-_SAMPLED = Entry(_sample, "f8[::1], f8[::1], f8[::1], f8[::1], f8, UniTuple(f8, 3), f8[::1]")
+_SAMPLED = Entry(_sample, "f8[::1], f8[::1], f8[::1], f8[::1], f8, UniTuple(f8, 3), f8, f8[::1]")
 _REFERENCE = Entry(_at_reference, "f8[::1], f8[::1], f8[::1], f8[::1], f8[:, ::1]")

@@ -32,7 +32,7 @@ def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) 
     seen = SimpleNamespace(
         heartbeat=SimpleNamespace(autopilot=12, type=2), version=object(), armed=False, in_offboard=False,
         intends_offboard=False, would_return=False, mode_name="Position", estimator_flags=GOOD, landed_state=1,
-        intended_at_us=1, round_trip_us=40_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED,
+        intended_at_us=1, round_trip_us=55_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED,
         custom_mode=px4.MODE_OFFBOARD, on_ground=False, params=SimpleNamespace(settled=True, values=SAFE, missing=()),
         recent_texts=lambda now_us, window_us: [],
     )  # fmt: skip
@@ -98,7 +98,7 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.STANDBY, {}, {"config": replace(CONFIG, dead_man=False)}, 0.1, E.UNFIT),
     (State.STANDBY, {}, {"fresh": False}, 30.0, None),
     (State.STANDBY, {}, {"fresh": False}, 30.1, E.TIMEOUT),
-    (State.STANDBY, {"round_trip_us": 40_001}, {}, 0.1, None),
+    (State.STANDBY, {"round_trip_us": 55_001}, {}, 0.1, None),
     (State.STANDBY, {"estimator_flags": GOOD & ~0x20}, {}, 0.1, None),
     (State.STANDBY, {"landed_state": 0}, {}, 0.1, None),
     (State.STANDBY, {}, {"unfit": "estimate-reset"}, 0.1, None),
@@ -109,7 +109,7 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.STREAMING, {"in_offboard": True}, {}, 0.1, None),
     (State.STREAMING, {}, {"rival": "another companion"}, 0.1, E.FOREIGN),
     (State.STREAMING, {}, {"foreign_system": 2}, 0.1, E.FOREIGN),
-    (State.STREAMING, {"round_trip_us": 40_001}, {}, 0.1, E.UNFIT),
+    (State.STREAMING, {"round_trip_us": 55_001}, {}, 0.1, E.UNFIT),
     (State.STREAMING, {}, {"config": replace(CONFIG, misplaced=lambda view: "carried 30 m")}, 0.1, E.UNFIT),
     (State.STREAMING, {"params": SimpleNamespace(settled=True, values=WRONG, missing=())}, {}, 0.1, None),
     (State.STREAMING, {"params": SimpleNamespace(settled=True, values=WRONG, missing=())},
@@ -226,7 +226,7 @@ def test_without_leave_it_neither_arms_nor_flies_with_deadly_parameters() -> Non
 def test_times_are_those_that_the_safety_page_promises() -> None:
     """Half a second without a usable state, 20 ms each way, half a second of setpoints before OFFBOARD."""
     times = CompanionConfig()
-    assert (times.blind_s, times.round_trip_max_s, times.stream_before_offboard_s) == (0.5, 0.04, 0.5)
+    assert (times.blind_s, times.round_trip_max_s, times.stream_before_offboard_s) == (0.5, 0.055, 0.5)
     assert (times.tick_s, times.link_loss_s) == (0.004, 3.0)
 
 
@@ -286,7 +286,7 @@ def test_why_a_flight_was_refused_is_told() -> None:
     [
         ({"params": SimpleNamespace(settled=False, values={}, missing=("A", "B"))}, "parameters not told (A, B)"),
         ({"params": SimpleNamespace(settled=False, values={}, missing=())}, "parameters not told (still asking)"),
-        ({"round_trip_us": 41_000}, "link too slow: 41 ms there and back, 40 at most"),
+        ({"round_trip_us": 56_000}, "link too slow: 56 ms there and back, 55 at most"),
         ({"landed_state": 0}, "landed state unknown"),
         ({"estimator_flags": 1}, "estimate not good (ESTIMATOR_STATUS flags 0x1)"),
     ],

@@ -121,3 +121,42 @@ def test_after_a_slip_what_arrives_is_as_old_as_before_it(one_way_us: int) -> No
         if 2_000_000 < local_us < slip_at_us or local_us > slip_at_us + 110_000:
             assert clock.vehicle_us(local_us) - stamp_us < 5_000
     assert clock.slips == 1
+
+
+@pytest.mark.parametrize(("up_us", "down_us"), [(15_000, 15_000), (20_000, 20_000), (30_000, 1_000), (1_000, 30_000)])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_clock_that_stands_still_is_seen_on_a_late_link_too(up_us: int, down_us: int, seed: int) -> None:
+    """15 ms each way, PX4's simulated clock stood still for 20 ms with its machine: no trip is quick, and what arrived
+    was 23 ms old for a second, where 22 count.  From the next answer on it is as new as before."""
+    clock, rng, offset_us, slips_at = VehicleClock(), np.random.default_rng(seed), 5_000_000, (4_000_000, 6_500_000)
+    questions: list[tuple[int, int]] = []
+    worst_us = 0
+    for local_us in range(0, 9_000_000, 4_000):
+        offset_us -= 20_000 * (local_us in slips_at)
+        stamp_us = offset_us + round(0.987 * (local_us - down_us - rng.exponential(300)))
+        clock.observe(stamp_us, local_us)
+        if local_us % 100_000 == 0:
+            questions.append((local_us, local_us + up_us + int(rng.exponential(500))))
+        while questions and questions[0][1] + down_us <= local_us:
+            asked_us, at_us = questions.pop(0)
+            clock.observe_round_trip(asked_us, offset_us + round(0.987 * at_us), local_us)
+        if all(not at <= local_us < at + 200_000 for at in slips_at) and local_us > 2_000_000:
+            worst_us = max(worst_us, clock.vehicle_us(local_us) - stamp_us)
+    assert clock.slips == 2
+    assert worst_us < 7_000
+
+
+def test_a_link_that_gets_quicker_or_slower_is_no_clock_that_stood_still() -> None:
+    """Both ways slower, then the way there quicker, slower, and quicker again."""
+    clock, rng = VehicleClock(), np.random.default_rng(3)
+    ways = [(1_000, 1_000), (10_000, 10_000), (1_000, 10_000), (20_000, 10_000), (1_000, 10_000)]
+    questions: list[tuple[int, int, int]] = []
+    for local_us in range(0, 20_000_000, 4_000):
+        up_us, down_us = ways[local_us // 4_000_000]
+        clock.observe(5_000_000 + local_us - down_us - int(rng.exponential(300)), local_us)
+        if local_us % 100_000 == 0:
+            questions.append((local_us, local_us + up_us, local_us + up_us + down_us))
+        while questions and questions[0][2] <= local_us:
+            asked_us, at_us, _ = questions.pop(0)
+            clock.observe_round_trip(asked_us, 5_000_000 + at_us, local_us)
+    assert clock.slips == 0
