@@ -8,6 +8,7 @@ than gusts make.  A wind beside gusts is told by its own size against what their
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,7 +18,8 @@ from flightstack.effects import EFFECTS
 from flightstack.gap import pooled
 from flightstack.gap.chances import chi2_tail
 from flightstack.gap.classes import splitting_manoeuvre, together
-from flightstack.gap.decisions import CHANCE_P, MOSTLY, NOT_WORSE, RARE_P
+from flightstack.gap.decisions import CHANCE_P, GUST_SPREAD_OUT, MOSTLY, NOT_WORSE, RARE_P
+from flightstack.gap.estimator_bias import with_bias
 from flightstack.gap.gusts import Gusts, as_found, gusts
 from flightstack.gap.held import far_from_noise, upright
 from flightstack.gap.name import Selection
@@ -57,12 +59,13 @@ def with_turbulence(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, ga
     if told is None or any(upright(f) for f in told[0].found):  # no steady wind goes through the ground
         return naming, gap
     named, blown, twins = told
+    of = replace(of, flights=tuple(with_bias(named.vehicle, s) for s in of.flights))
     after = pooled.figures(named.vehicle, of)
-    if any(_is_worse(getattr(after, name), getattr(gap.after, name)) for name in ONE_STEP):
-        return naming, gap
     most = blown.sigma_mps.high / blown.sigma_mps.estimate  # how hard it blew on held-out data nobody knows better
     made = (most * blown.force_rms_mps2, most * blown.turning_rms_radps2)
     floor = pooled.noise_floor(named.vehicle, of, after, made)
+    if any(_is_worse(*(getattr(of_all, name) for of_all in (after, gap.after, floor))) for name in ONE_STEP):
+        return naming, gap
     still, least = after.one_step_mps2, pooled.noise_floor(named.vehicle, of, after).one_step_mps2
     found = as_found(blown, 0.0 if still is None or least is None else still**2 - least**2)
     manoeuvre = splitting_manoeuvre((found.name, *twins)) if twins else ""
@@ -82,13 +85,14 @@ def _beside(
 
     Of the `tested` the least certain goes first, and the others are fitted again without it.
     """
-    masks = [s.valid for s in of.flights]
+    flights = [replace(s, bias_frd_mps2=None) for s in of.flights]  # as slow as gusts: told beside them, not before
+    masks = [s.valid for s in flights]
     unsure: Gusts | None = None
     alike: dict[str, str] = {}
     while True:
         named = naming.with_only(found)
         turned = [knob for f in found for knob in free_parameters(f.name, _whole(f))]
-        blown = gusts(named.vehicle, of.flights, masks, turned)
+        blown = gusts(named.vehicle, flights, masks, turned)
         if blown is None or not blown.named:
             return None
         chance = {f.name: _chance(vehicle, named.vehicle, f, turned, blown) for f in found if f.name in tested}
@@ -100,7 +104,7 @@ def _beside(
         if worst == _WIND and chance[worst] < CHANCE_P:
             unsure = blown
         found = [f for f in found if f.name != worst]
-    slow = [f for f in named.found if f.name in (_WIND, _FORCE) or f.name in tested & {_LOAD}]
+    slow = [f for f in named.found if f.name == _WIND or _is_force(f)]
     for f in slow:
         named = _by_gusts(vehicle, named, f, turned, blown)
     if len(both := {f.name for f in slow} & alike.keys()) == 1:
@@ -139,12 +143,16 @@ def _wald(
 def _by_gusts(
     vehicle: Vehicle, naming: Selection, found: IdentifiedEffect, turned: Sequence[FreeParameter], blown: Gusts
 ) -> Selection:
-    """The verdict with this effect's parameters as they are beside gusts."""
+    """The verdict with this effect's parameters as they are beside gusts.
+
+    What is no steady force goes with an airspeed that has gusts in it: its interval is as much too narrow as theirs.
+    """
+    spread = 1.0 if found.name in (_WIND, _FORCE, _LOAD) else math.sqrt(GUST_SPREAD_OUT)
     parameters: dict[str, Estimate] = {}
     for k, knob in enumerate(turned):
         if knob.effect == found.name:
             now = value(naming.vehicle, knob.effect, knob.parameter) + float(blown.beside[k])
-            reach = CI * float(np.sqrt(blown.covariance[k, k]))
+            reach = spread * CI * float(np.sqrt(blown.covariance[k, k]))
             before = value(vehicle, knob.effect, knob.parameter)
             parameters[knob.parameter] = Estimate(before, now, now - reach, now + reach)
     moved = with_value(naming.vehicle, found.name, {p: e.estimate for p, e in parameters.items()})
@@ -156,8 +164,9 @@ def _by_gusts(
     return replace(naming, found=names, vehicle=moved)
 
 
-def _is_worse(now: float | None, was: float | None) -> bool:
-    return now is not None and was is not None and now > NOT_WORSE * was
+def _is_worse(now: float | None, was: float | None, blown: float | None) -> bool:
+    """Whether a figure is worse than it was, by more than gusts may make it: of long ones a wind takes the mean."""
+    return now is not None and was is not None and now > NOT_WORSE * max(was, blown or 0.0)
 
 
 def _proposed(vehicle: Vehicle, naming: Selection, effect: str) -> IdentifiedEffect:
@@ -175,4 +184,7 @@ def _whole(found: IdentifiedEffect) -> dict[str, float]:
 
 
 def _is_force(found: IdentifiedEffect) -> bool:
-    return EFFECTS[found.name].kind == "force"
+    """Whether it is the force that tells it, so that gusts may stand in for it: of a weak rotor torques do."""
+    if found.name in (_LOAD, "thrust_curve"):
+        return True
+    return EFFECTS[found.name].kind in ("force", "thrust", "load") and found.name != "rotor_fault"

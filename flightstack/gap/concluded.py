@@ -16,6 +16,7 @@ from flightstack.gap.blown import with_turbulence
 from flightstack.gap.classes import confused_with, doubled, without_motors
 from flightstack.gap.decisions import HALF, MOSTLY, TENTH
 from flightstack.gap.held import (
+    corrected,
     fails_holdout,
     far_from_noise,
     interval_contains_nominal,
@@ -92,6 +93,18 @@ def _without_loop_noise(
 
     Beside something unexplained instruments are bent by it as well.
     """
+    if naming.found and not naming.unexplained.significant and not far_from_noise(gap):
+        # a refined moment of acting holds a part of the delay
+        logged = [replace(s, command_late_s=late_s) for s, late_s in zip(of.flights, centre_s, strict=True)]
+        as_logged = replace(of, flights=tuple(logged))
+        flights = without_bias(naming, as_logged).flights
+        late = instruments.other_lateness(vehicle, naming.vehicle, naming.found, flights, of.fit)
+        if late is not None:
+            (old,) = late.indistinguishable_from
+            found = tuple(late if f.name == old else f for f in naming.found)
+            exchanged = replace(naming, found=found, vehicle=corrected(vehicle, found))
+            naming, of = _refined(vehicle, exchanged, as_logged)
+            gap = held_out_gap(vehicle, naming, of)
     while naming.found and not naming.unexplained.significant and not far_from_noise(gap):
         flights = without_bias(naming, of).flights
         wide, alone = instruments.compared(vehicle, naming.vehicle, naming.found, flights, of.fit, centre_s)

@@ -25,7 +25,14 @@ from numpy.typing import NDArray
 
 from flightstack.gap.chances import chi2_tail
 from flightstack.gap.compare import residual
-from flightstack.gap.decisions import CLEAR_EVIDENCE, GUST_SPREAD_OUT, LEAST_AIRSPEED_MPS, LEAST_SIGMA_MPS
+from flightstack.gap.decisions import (
+    CLEAR_EVIDENCE,
+    GUST_SPREAD_OUT,
+    LEAST_AIRSPEED_MPS,
+    LEAST_SIGMA_MPS,
+    SLOW_ERROR_S,
+)
+from flightstack.gap.estimator_bias import is_freed
 from flightstack.gap.naming.drivers import quantities
 from flightstack.gap.records import Estimate, IdentifiedEffect, Samples
 from flightstack.gap.simulate import FreeParameter, sensitivities, spec_of
@@ -134,7 +141,8 @@ def gusts(
         weight.ravel(), np.concatenate([f.beside for f in fits]), np.concatenate([f.covariance for f in fits])
     )
     force = float(made * told.estimate)
-    return Gusts(told, length, float(logs[best]), _other_laws(blocks, same), force, float(turned), moved, covariance)
+    other = _other_laws(blocks, same, freed=any(is_freed(s) for s in flights))
+    return Gusts(told, length, float(logs[best]), other, force, float(turned), moved, covariance)
 
 
 def _mixed(weight: F64, means: F64, covariances: F64) -> tuple[F64, F64]:
@@ -305,8 +313,11 @@ def _estimate(values: F64, weight: F64, parameter: str) -> Estimate:
     return Estimate(before, within[1], within[0], within[2])
 
 
-def _other_laws(blocks: _Blocks, same: NDArray[np.bool_]) -> float:
-    """Log likelihood ratio of the best other law: of place or airspeed, a drift with time, a force that swings."""
+def _other_laws(blocks: _Blocks, same: NDArray[np.bool_], *, freed: bool) -> float:
+    """Log likelihood ratio of the best other law: of place or airspeed, a drift with time, a force that swings.
+
+    `freed`: an estimator's idea of its accelerometer's bias was subtracted, which wanders along the level body axes.
+    """
     lag = np.abs(blocks.t_s[:, None] - blocks.t_s[None, :])
     long_s = max(float(blocks.t_s.std()), 1.0)
     laws = _smooth_in(blocks.place)
@@ -318,6 +329,7 @@ def _other_laws(blocks: _Blocks, same: NDArray[np.bool_]) -> float:
     slow += [np.exp(-lag / (share * long_s)) * same for share in (0.3, 3.0)]
     pairs = [(blocks.turn, law) for law in laws] + [(body, law) for law in _smooth_in(blocks.airspeed)]
     pairs += [(lift, law) for law in slow]
+    pairs += [(body - lift, np.exp(-lag / SLOW_ERROR_S) * same)] if freed else []
     return max(float(_profile(_kernel(loads, [law] * 3), blocks).logs.max()) for loads, law in pairs)
 
 

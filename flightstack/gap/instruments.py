@@ -26,7 +26,7 @@ from flightstack.gap.naming.candidates import negligible, plausible
 from flightstack.gap.naming.estimate import CI, inverse
 from flightstack.gap.records import SIGNALS, Estimate, IdentifiedEffect, Samples
 from flightstack.gap.sampled import timing_s
-from flightstack.gap.simulate import FreeParameter, prediction_error, sensitivities, timing, with_value
+from flightstack.gap.simulate import FreeParameter, prediction_error, sensitivities, timing, value, with_value
 from flightstack.gap.track import track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -41,6 +41,7 @@ _BLOCK_S = 0.5
 """Rows so near are taken for one draw."""
 _STEPS = 2
 _TORQUES = (3, 4)
+_LATE: tuple[Slot, Slot] = (("motor_lag", "time_constant_s"), ("transport_delay", "delay_s"))
 _GAINS = (("inertia", "scale_x"), ("inertia", "scale_y"))
 
 
@@ -140,6 +141,45 @@ def _by(
                 high=max(e.high, min(e.estimate + math.hypot(e.high - e.estimate, change), high)),
             )
     return out
+
+
+def other_lateness(
+    believed: Vehicle,
+    vehicle: Vehicle,
+    found: Sequence[IdentifiedEffect],
+    flights: Sequence[Samples],
+    masks: Sequence[Mask],
+) -> IdentifiedEffect | None:
+    """The delay in a named lag's place, or the lag in a delay's, where instruments are sure of it and of that alone.
+
+    In a hover commands are little but the gyro's noise passed on, which a lag passes for better than a delay does.
+    """
+    named = [f for f in found if f.name in dict(_LATE)]
+    if len(named) != 1 or named[0].indistinguishable_from:
+        return None
+    now, off, sigma = vehicle, np.zeros(2), np.zeros(2)
+    for e, p in _LATE:
+        now = with_value(now, e, {p: value(believed, e, p)})
+    sampling_s = float(np.mean([s.dt_s for s in flights])) / np.sqrt(12.0)
+    for _ in range(_STEPS + 1):
+        told = _told(now, flights, masks, _LATE, (0.0, 1e-6))
+        if told is None:
+            return None
+        sigma = np.hypot(
+            np.sqrt(np.diag(told.covariance)[:2]), sampling_s * np.array([e != "motor_lag" for e, _ in _LATE])
+        )
+        for (e, p), change in zip(_LATE, told.change, strict=False):
+            now = with_value(now, e, {p: float(np.clip(value(now, e, p) + change, *plausible(believed, e, p)))})
+        off = np.array([value(now, e, p) - value(believed, e, p) for e, p in _LATE])
+    mine = [e for e, _ in _LATE].index(named[0].name)
+    other = 1 - mine
+    if abs(off[mine]) > SURE_ERRORS * sigma[mine] or chi2_tail(1, float(off[other] / sigma[other]) ** 2) > RARE_P:
+        return None
+    effect, parameter = _LATE[other]
+    before, reach = value(believed, effect, parameter), CI * float(sigma[other])
+    size = before + float(off[other])
+    parameters = {parameter: Estimate(before, size, max(size - reach, 0.0), size + reach)}
+    return replace(named[0], name=effect, parameters=parameters, indistinguishable_from=(named[0].name,))
 
 
 def is_trifling(vehicle: Vehicle, found: IdentifiedEffect) -> bool:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.gap_cases import make, write
 from flightstack.gap import instruments
 from flightstack.gap.checks.clocks import settle_clocks
 from flightstack.gap.naming.ranged import as_twins_read
 from flightstack.gap.records import Estimate, IdentifiedEffect, Samples, Signal
 from flightstack.gap.simulate import with_value
+from flightstack.gap.workflow import analyse
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
@@ -54,6 +57,22 @@ def test_the_truth_is_left_alone(shaky: Samples) -> None:
     (lag,), alone = instruments.compared(quad(), vehicle, [found], [shaky], [shaky.valid], [0.0])
     assert alone is None
     assert lag.parameters["time_constant_s"].estimate == TRUE_LAG_S
+
+
+def test_a_lag_that_is_one_stays_one(shaky: Samples) -> None:
+    found, vehicle = lag_of(TRUE_LAG_S)
+    assert instruments.other_lateness(quad(), vehicle, [found], [shaky], [shaky.valid]) is None
+
+
+def test_a_delay_in_a_hover_is_no_lag(tmp_path: Path) -> None:
+    """Commands are the gyro's noise passed on there, for which a lag of 32 ms stood better than the delay of 22 ms."""
+    case = make("one:transport_delay", 5060143)
+    log, _, _ = write(case, tmp_path, "case", "mcap")
+    (found,) = analyse([log], case.believed).found
+    assert found.name == "transport_delay"
+    assert found.indistinguishable_from == ("motor_lag",)
+    told = found.parameters["delay_s"]
+    assert told.low <= case.answer.effects["transport_delay"]["delay_s"] <= told.high
 
 
 def test_commands_that_rows_hold_are_seen_to_have_acted_before_their_stamps() -> None:
