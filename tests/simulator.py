@@ -55,13 +55,13 @@ def free_tcp_pair() -> int:
 
 
 @contextmanager
-def watching(port: int) -> Iterator[list[dict[str, Any]]]:
-    """What the page of `--live=PORT` would show, as often as it can be had while inside."""
+def watching(port: int, every_s: float = 0.03) -> Iterator[list[dict[str, Any]]]:
+    """What the page of `--live=PORT` would show, looked at every `every_s` while inside."""
     seen: list[dict[str, Any]] = []
     over = threading.Event()
 
     def watch() -> None:
-        while not over.wait(0.03):
+        while not over.wait(every_s):
             try:
                 with closing(http.client.HTTPConnection(HOST, port + 1, timeout=2.0)) as connection:
                     connection.request("GET", "/state")

@@ -28,7 +28,7 @@ def test_nor_does_it_on_the_other_plant() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wave", "hz", "radps"), [(SQUARE, 5.0, 3.0), thorough(SINE, 15.0, 6.0), thorough(NOISE, 8.0, 6.0)]
+    ("wave", "hz", "radps"), [thorough(SQUARE, 5.0, 3.0), thorough(SINE, 15.0, 6.0), thorough(NOISE, 8.0, 6.0)]
 )
 def test_nor_do_stronger_and_other_ones(wave: int, hz: float, radps: float) -> None:
     strategy = KNOWN._replace(wave=wave, hz=hz, roll_radps=radps, pitch_radps=radps, phase_rad=0.5 * math.pi)

@@ -62,7 +62,7 @@ class Flown(NamedTuple):
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flown]:
     out, port = tmp_path_factory.mktemp("provenance"), free_tcp_pair()
     options = FlyOptions(scenario="paper-barrier", seed=22, duration_s=30.0, out=out, live=port)
-    with watching(port) as seen:
+    with watching(port, 0.3) as seen:  # a flight of half a minute: looked at often, it takes twice as long
         result = certify(options, stop_requested=lambda: "", config=ExploreConfig(axes=(2,), rounds_max=2))
     assert result.certificate is not None
     assert result.flight.log is not None

@@ -1,4 +1,7 @@
-"""`reproduce --quick`, flown over UDP: its rows against what is known of the paper, and the same run again."""
+"""`reproduce --quick`, flown over UDP: its rows against what is known of the paper, and the same run again.
+
+Two minutes of processor time: the run itself is left to `make thorough`; `test_reproduce.py` runs all round the parts.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from flightstack.cli.main import main
 from flightstack_paper.run import ReproduceOptions, plants_of
 from flightstack_paper.tracking import TrackingFlight, fly
 from flightstack_paper.work import PartContext
+from tests.thorough import ONLY_THEN
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -48,6 +52,7 @@ def ours(rows: dict[str, dict[str, Any]], row_id: str, holds: bool) -> float:
     return float(rows[row_id]["ours"])
 
 
+@ONLY_THEN
 def test_example_1(rows: dict[str, dict[str, Any]]) -> None:
     for name, printed, rate, lowered, best in (
         ("lyapunov", 2.58176, -2.96e-4, 2.5803, 2.585),
@@ -61,6 +66,7 @@ def test_example_1(rows: dict[str, dict[str, Any]]) -> None:
     assert ours(rows, "ex1-ratio-strict", True) == pytest.approx(1.672, abs=1e-3)
 
 
+@ONLY_THEN
 def test_learning_tracks_better_and_fast_enough(rows: dict[str, dict[str, Any]]) -> None:
     assert ours(rows, "tracking-rmse-ratio", True) < 0.15
     assert ours(rows, "tracking-rmse-over-pd", True) < 0.15
@@ -69,6 +75,7 @@ def test_learning_tracks_better_and_fast_enough(rows: dict[str, dict[str, Any]])
     assert rows["gp-step-ms-max"]["ours"] > 0.0  # how long it takes is the machine's business
 
 
+@ONLY_THEN
 def test_the_region_grows_to_what_physics_allows_and_is_never_left(rows: dict[str, dict[str, Any]]) -> None:
     """mu of physics with the wind balanced by tilt: 0.6029; a certificate below it would be a lie."""
     assert ours(rows, "mu-initial", True) == pytest.approx(6.3)
@@ -82,6 +89,7 @@ def test_the_region_grows_to_what_physics_allows_and_is_never_left(rows: dict[st
     assert ours(rows, "adaptive-vs-uniform-samples-sound", True) < 0.5
 
 
+@ONLY_THEN
 def test_what_is_wrong_is_said_to_be(rows: dict[str, dict[str, Any]]) -> None:
     assert ours(rows, "mu-physics", False) == pytest.approx(0.602849, abs=2e-4)
     assert ours(rows, "mu-state-only", False) == pytest.approx(0.4247, abs=1e-4)
@@ -91,6 +99,7 @@ def test_what_is_wrong_is_said_to_be(rows: dict[str, dict[str, Any]]) -> None:
     assert ours(rows, "gp-joint-confidence", False) == pytest.approx(0.756, abs=1e-3)
 
 
+@ONLY_THEN
 def test_every_figure_is_there_and_in_the_page(out: Path) -> None:
     figures = json.loads((out / "results.json").read_text())["figures"]
     page = (out / "report.html").read_text()
@@ -103,6 +112,7 @@ def test_every_figure_is_there_and_in_the_page(out: Path) -> None:
     assert "://" not in page
 
 
+@ONLY_THEN
 def test_the_same_command_takes_up_what_is_there_and_writes_the_same(
     out: Path, rows: dict[str, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
