@@ -31,8 +31,8 @@ BACKLOG = 2_000
 """With so many calls in the queue, a second of a flight, it is written whatever the loop does."""
 _WORTH_WAKING = 32
 """Calls, of some four ticks: a thread that is woken each tick costs more than it does."""
-_CALL_US, _PIECE_US = 100, 600
-"""Most of the time that a call of the queue takes, and a piece of a chunk."""
+_CALL_US, _PIECE_US = 300, 600
+"""Most of the time that a call of the queue takes (99 in 100 on a slow core, cold), and a piece of a chunk."""
 _GONE_US = 50_000
 """A loop that has told nothing for so long after its sleep stands still or has ended."""
 

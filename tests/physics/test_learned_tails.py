@@ -47,7 +47,7 @@ def misses(task: str, seed: int) -> F64:
         ("hover", range(200, 208 if THOROUGH else 203), MOST),
         ("figure8", range(200, 203 if THOROUGH else 201), MOST),
         thorough("steady-wind", range(200, 203), MOST),
-        ("rotor-drag", range(200, 206 if THOROUGH else 202), LIFT),
+        thorough("rotor-drag", range(200, 206), LIFT),
     ],
 )
 def test_the_truth_lies_beyond_three_sigma_in_no_more_than_a_normal_distributions_share(
