@@ -122,7 +122,15 @@ def _chance(
     count, statistic = _wald(vehicle, at, found, turned, blown)
     if not count:
         return 0.0 if found.name != _WIND else 1.0  # no force shows it: it is not gusts that it may be
-    return chi2_tail(count, statistic)
+    return chi2_tail(count, statistic / _spread_out(found))
+
+
+def _spread_out(found: IdentifiedEffect) -> float:
+    """By how much beside gusts the variance of an effect's parameters is larger than their likelihood says.
+
+    Gusts change the airspeed that it goes with, or the thrust; a wind and a steady force don't care.
+    """
+    return 1.0 if found.name in (_WIND, _FORCE) else GUST_SPREAD_OUT
 
 
 def _wald(
@@ -145,9 +153,9 @@ def _by_gusts(
 ) -> Selection:
     """The verdict with this effect's parameters as they are beside gusts.
 
-    What is no steady force goes with an airspeed that has gusts in it: its interval is as much too narrow as theirs.
+    Its interval would be too narrow where `_spread_out` says so.
     """
-    spread = 1.0 if found.name in (_WIND, _FORCE, _LOAD) else math.sqrt(GUST_SPREAD_OUT)
+    spread = math.sqrt(_spread_out(found))
     parameters: dict[str, Estimate] = {}
     for k, knob in enumerate(turned):
         if knob.effect == found.name:

@@ -33,8 +33,6 @@ class Judged:
     found: tuple[IdentifiedEffect, ...]
     estimates: Estimates
     constant: Mapping[str, float]
-    harmful: tuple[IdentifiedEffect, ...] = ()
-    """Names that are significant and yet lower nothing that is held out."""
 
 
 def _chi2_decrease(state: SelectionState, effects: Mapping[str, Mapping[str, float]], gone: str) -> float:
@@ -153,26 +151,37 @@ def judge(state: SelectionState, best: Fit) -> Judged:
     made = estimate(state, best.effects)
     if not best.effects:
         return Judged((), made, {})
-    found, harmful = list[IdentifiedEffect](), list[IdentifiedEffect]()
+    found = []
     count = len(EFFECTS)
     for effect in best.effects:
         fall = evidence(state, best, effect)
         p_value = _p_value(state, best, effect)
-        if p_value * count > NAME_P:
-            continue
         others = alternatives(state, best, effect)
         held = gain(state, made, effect)
-        manoeuvre = splitting_manoeuvre((effect, *others)) if others else ""
-        told = IdentifiedEffect(effect, parameters_of(state, made, effect), -fall, held, p_value, others, manoeuvre)
-        (harmful if held <= 0.0 else found).append(told)
+        if p_value * count > NAME_P or held <= 0.0:
+            continue
+        found.append(
+            (
+                fall,
+                IdentifiedEffect(
+                    effect,
+                    parameters_of(state, made, effect),
+                    -fall,
+                    held,
+                    p_value,
+                    others,
+                    splitting_manoeuvre((effect, *others)) if others else "",
+                ),
+            )
+        )
     if len(found) < len(best.effects):
-        left = {f.name: best.effects[f.name] for f in found}
+        left = {f.name: best.effects[f.name] for _, f in found}
         made = estimate(state, left)
-    found.sort(key=lambda f: f.delta_bic)
+    found.sort(key=lambda item: -item[0])
     constant: dict[str, float] = {}
     for (effect, _), p in zip(made.slots, made.spread, strict=True):
         constant[effect] = min(constant.get(effect, 1.0), float(p))
-    return Judged(tuple(found), made, constant, tuple(harmful))
+    return Judged(tuple(f for _, f in found), made, constant)
 
 
 def _p_value(state: SelectionState, best: Fit, effect: str) -> float:

@@ -293,8 +293,8 @@ def name(
     kept = in_classes(tuple(f for f in judged.found if f.name not in doubtful), bench.flights)
     rejected = _rejected(bench, state, best, tuple(f.name for f in kept), doubtful)
     rejected = tuple(replace(r, reason=DRIFTS) if r.name in drifting else r for r in rejected)
-    proposed, behind = (*judged.found, *judged.harmful), (bench, state)
-    return Selection(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, proposed, behind)
+    behind = (bench, state)
+    return Selection(kept, rejected, corrected(vehicle, kept), left, where, judged.constant, seen, judged.found, behind)
 
 
 def _highest_m(flights: Sequence[Samples]) -> float:
