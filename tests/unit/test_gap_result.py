@@ -165,6 +165,27 @@ def test_the_last_third_is_held_out_behind_a_guard() -> None:
     assert fit[0] == 0.0
 
 
+def test_what_shows_only_where_was_learned_from_is_said_to() -> None:
+    """Beside "not explained" stood "no gap to close" and figures as small as the noise."""
+    gap = Gap(figures(0.05, 0.1), figures(0.05, 0.1), figures(0.05, 0.1), None)
+    left = Unexplained(True, (), 1.0)
+    said = words.sentence((), gap, left)
+    assert said.endswith("it shows in the part that was learned from only.")
+    assert "learned from" not in words.sentence((), GAP, left)
+    page = render_report(GapReport(said, "quad-x", gap, (), (), left, ()))
+    assert ">no gap there<" in page
+    assert ">in the part that was learned from<" in page
+    assert "no gap to close" not in page
+
+
+@pytest.mark.parametrize(
+    ("after_m", "says"),
+    [(0.1, "2.0 times smaller"), (0.2, "as it was"), (0.201, "as it was"), (0.4, "2.0 times larger")],
+)
+def test_a_path_that_is_as_it_was_is_not_called_smaller(after_m: float, says: str) -> None:
+    assert words.ratio(Figures(None, None, 0.2), Figures(None, None, after_m)) == says
+
+
 def test_a_flight_that_was_kept_is_never_learned_from() -> None:
     of = split([flight(20.0)], [flight(10.0)])
     assert [int(m.sum()) for m in of.fit] == [2000, 0]

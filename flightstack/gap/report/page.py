@@ -74,7 +74,8 @@ def render_report(report: GapReport) -> str:
 def _figures(report: GapReport) -> tuple[KeyFigure, ...]:
     gap = report.gap
     closed = "–" if gap.closed is None else words.percent(gap.closed)
-    why = "of the gap over the noise" if gap.closed is not None else "no gap to close"
+    none = "no gap there" if words.is_elsewhere(gap, report.unexplained) else "no gap to close"
+    why = "of the gap over the noise" if gap.closed is not None else none
     state = "plain" if gap.closed is None else "good" if gap.closed >= MOSTLY else "bad"
 
     def figure(label: str, name: str, unit: str, note: str = "") -> KeyFigure:
@@ -102,6 +103,8 @@ def _left(report: GapReport) -> str:
     rest = report.unexplained
     if not rest.significant:
         return "but for a level force that is not told" if report.untold else "nothing significant"
+    if words.is_elsewhere(report.gap, rest) and not report.found:
+        return "in the part that was learned from"
     return f"depends on {', '.join(rest.depends_on)}" if rest.depends_on else "on nothing that these logs show"
 
 

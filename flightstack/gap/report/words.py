@@ -75,6 +75,7 @@ def sentence(
         parts = [_found(found), _closed(gap, len(found)), *_rest(unexplained, gap), *_doubt(found)]
     elif unexplained.significant:
         parts = ["Something is missing that no effect of the table explains", *_depends(unexplained)]
+        parts += ["it shows in the part that was learned from only"] * is_elsewhere(gap, unexplained)
     elif gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
         parts = ["The logs can't be compared with the simulation: only the data check was made"]
     else:
@@ -99,6 +100,11 @@ def headline(report: GapReport) -> str:
     if is_side_only(report):
         parts.append(_SIDE_ONLY)
     return "; ".join(part for part in parts if part) + "."
+
+
+def is_elsewhere(gap: Gap, unexplained: Unexplained) -> bool:
+    """Whether held-out data show no gap, so that what is unexplained shows where was learned from."""
+    return unexplained.significant and gap.closed is None
 
 
 def is_side_only(report: GapReport) -> bool:
@@ -233,10 +239,12 @@ def figure(value: float | None, unit: str) -> str:
 
 
 def ratio(before: Figures, after: Figures) -> str:
-    """How many times smaller the rollout's error is."""
+    """How many times smaller (or larger) the rollout's error is."""
     if not before.rollout_1s_m or not after.rollout_1s_m:
         return ""
-    return f"{before.rollout_1s_m / after.rollout_1s_m:.1f} times smaller"
+    share = before.rollout_1s_m / after.rollout_1s_m
+    times = f"{max(share, 1.0 / share):.1f}"
+    return "as it was" if times == "1.0" else f"{times} times {'smaller' if share > 1.0 else 'larger'}"
 
 
 def unit(text: str) -> str:
