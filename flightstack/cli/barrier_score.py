@@ -23,6 +23,7 @@ from flightstack.barrier.lateness import carried_off
 from flightstack.barrier.provenance import Trail
 from flightstack.barrier.records import Certificate
 from flightstack.barrier.shapes import values_at
+from flightstack.cli.column import Column
 from flightstack.cli.result import NO_BARRIER, NO_QP, percentiles
 from flightstack.governor import GovernorLimits
 from flightstack.learning.learner import LearnerState
@@ -64,13 +65,13 @@ class TimedFilter:
 
     def __init__(self, safety_filter: SafetyFilter) -> None:
         self.enabled = safety_filter.enabled
-        self.solve_ns: list[int] = []
+        self.solve_ns = Column()
         """Wall time of each step that solved its problem, since the last `init`."""
         self._filter = safety_filter
 
     def init(self, origin_ned_m: F64) -> object:
         """The filter's own; the steps before it (warming up) are forgotten."""
-        self.solve_ns = []
+        self.solve_ns = Column()
         return self._filter.init(origin_ned_m)
 
     def governed(self, state: object) -> GovernorLimits | None:
@@ -228,10 +229,10 @@ class RegionScore:
     region: Region | None
     """The scenario's; None: that of the certificate in force."""
     certifier: WatchedCertifier | None = None
-    _t_us: list[int] = field(default_factory=list)
-    _in_force: list[int] = field(default_factory=list)
-    _estimated: list[State] = field(default_factory=list)
-    _true: list[State] = field(default_factory=list)
+    _t_us: Column = field(default_factory=Column)
+    _in_force: Column = field(default_factory=Column)
+    _estimated: Column = field(default_factory=lambda: Column(6))
+    _true: Column = field(default_factory=lambda: Column(6))
 
     @property
     def of(self) -> str | None:
@@ -246,43 +247,44 @@ class RegionScore:
             return
         self._t_us.append(t_us)
         self._in_force.append(0 if self.certifier is None else len(self.certifier.adopted))
-        self._estimated.append(estimated)
+        self._estimated.extend(estimated)
         if true is not None:
-            self._true.append(true)
+            self._true.extend(true)
 
     def summary(self) -> dict[str, Any]:
         """Which region, from when on it counts (s after take-off), the least h then, ticks outside.
 
         Null where it is not known: without a truth, and where h never was what it begins to count from.
         """
-        start = engaged_from(self._t_us, estimated := self._values(self._estimated))
+        t_us = self._t_us.table()
+        start = engaged_from(t_us, estimated := self._values(self._estimated))
         found: dict[str, Any] = {"of": self.of, "engaged_s": None, "min_h_truth": None, "min_h_estimate": None}
         found["violations"] = found["left_s"] = None
         if start is None:
             return found
-        since_s = (np.array(self._t_us[start:]) - self._t_us[0]) * 1e-6
+        since_s = (t_us[start:] - t_us[0]) * 1e-6
         found["engaged_s"] = float(since_s[0])
         found["min_h_estimate"] = _least(estimated[start:])
-        if self._true:
+        if len(self._true):
             true = self._values(self._true)[start:]
             outside = np.flatnonzero(true < 0.0)
             found["min_h_truth"], found["violations"] = _least(true), len(outside)
             found["left_s"] = float(since_s[outside[0]]) if len(outside) else None
         return found
 
-    def _values(self, states: Sequence[State]) -> F64:
-        table = np.array(states).reshape(-1, 6)
+    def _values(self, states: Column) -> F64:
+        table = states.table()
         if self.region is not None:
             return self.region.values(table[:, :3], table[:, 3:])
-        found, in_force = np.full(len(table), math.nan), np.array(self._in_force)
+        found, in_force = np.full(len(table), math.nan), self._in_force.table()
         for number, certificate in enumerate(self.certifier.adopted if self.certifier is not None else (), start=1):
             found[in_force == number] = certified_values(certificate, table[in_force == number])
         return found
 
 
-def engaged_from(t_us: Sequence[int], h: F64) -> int | None:
+def engaged_from(t_us: Sequence[float] | F64, h: F64) -> int | None:
     """The first tick at whose end h has been at least ENGAGE_H for ENGAGE_US; None where it never was."""
-    since: int | None = None
+    since: float | None = None
     for i, (now_us, value) in enumerate(zip(t_us, h.tolist(), strict=True)):
         if not value >= ENGAGE_H:
             since = None

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.cli.column import Column
 from flightstack.estimate_observer import POOR_MPS
 from flightstack.types import F64, Tuple3
 
@@ -26,27 +27,25 @@ class EstimateScore:
     """Sums of a flight, tick by tick on the track."""
 
     def __init__(self) -> None:
-        self._disagreements: list[F64] = []
-        self._errors: list[Tuple3] = []
-        self._control: list[float] = []
+        self._disagreements, self._errors, self._control = Column(3), Column(3), Column()
 
     def add(self, disagreement_ned_mps: F64, from_reference_m: float, error_ned_m: Tuple3 | None) -> None:
         """One tick; `error_ned_m`: estimate less truth, each relative to where the flight began."""
-        self._disagreements.append(disagreement_ned_mps)
+        self._disagreements.extend_bytes(disagreement_ned_mps)
         self._control.append(from_reference_m)
         if error_ned_m is not None:
-            self._errors.append(error_ned_m)
+            self._errors.extend(error_ned_m)
 
     def summary(self) -> dict[str, Any]:
         """The JSON's `estimator`."""
-        if not self._control:
+        if not len(self._control):
             return dict(NO_ESTIMATE)
-        disagreement = _rms(np.array(self._disagreements))
-        control = np.array(self._control)
+        disagreement = _rms(self._disagreements.table())
+        control = self._control.table()
         return {
             "disagreement_rms_mps": disagreement.tolist(),
             "poor": bool(disagreement.max() > POOR_MPS),
-            "error_rms_m": _rms(np.array(self._errors)).tolist() if self._errors else None,
+            "error_rms_m": _rms(self._errors.table()).tolist() if len(self._errors) else None,
             "control_rmse_m": float(_rms(control)),
             "control_rmse_settled_m": float(_rms(control[len(control) // 2 :])),
         }

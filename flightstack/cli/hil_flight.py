@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 
 from flightstack.cli import files
+from flightstack.cli.column import Column
 from flightstack.cli.compiled import ensure_compiled
 from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, prepare, warm_up_all
 from flightstack.cli.hil import DEFAULT_SENSORS, DEFAULT_VEHICLE, HIL_PORT, HilSession
 from flightstack.cli.live_view import shown_live
-from flightstack.cli.result import FlightResult, LoopTiming, Place, TrackingScore
+from flightstack.cli.result import FlightResult, LoopTiming, Place, TrackingScore, relative
 from flightstack.cli.score import FlightScore
 from flightstack.cli.simulate import HOST, OFFBOARD_PORT
 from flightstack.geodesy import LocalFrame
@@ -62,7 +63,7 @@ class GlobalEstimateScore:
     """Latitude, longitude (degrees), altitude (m) of PX4's local frame; None until it is told."""
     tracking: TrackingScore = field(default_factory=lambda: TrackingScore("estimate"))
     """Of the estimated position from the reference."""
-    _errors: list[tuple[float, float, float]] = field(default_factory=list)
+    _errors: Column = field(default_factory=lambda: Column(3))
 
     def on_message(self, t_us: int, message: object) -> None:
         """GPS_GLOBAL_ORIGIN; others mean nothing here."""
@@ -79,16 +80,16 @@ class GlobalEstimateScore:
 
     def add(self, estimated_ned_m: Place, true_ned_m: Tuple3) -> None:
         """One tick, both positions in PX4's local frame."""
-        north, east, down = (float(a - b) for a, b in zip(estimated_ned_m, true_ned_m, strict=True))
-        self._errors.append((north, east, -down))
+        north, east, down = relative(estimated_ned_m, true_ned_m)
+        self._errors.extend((north, east, -down))
 
     def summary(self) -> dict[str, Any]:
         """rms of the horizontal and of the vertical error, and the mean of the latter; null where nothing is known.
         Beside them `tracking` by the estimate, as a flight without truth has it."""
         tracking = {"tracking": self.tracking.summary()}
-        if not self._errors:
+        if not len(self._errors):
             return {"horizontal_rms_m": None, "height_rms_m": None, "height_mean_m": None} | tracking
-        errors = np.array(self._errors)
+        errors = self._errors.table()
         return tracking | {
             "horizontal_rms_m": float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean())),
             "height_rms_m": float(np.sqrt((errors[:, 2] ** 2).mean())),
@@ -187,7 +188,8 @@ class HilFlight:
             return
         estimated = self._record.measurement.pos_ned_m
         self.estimate.add(estimated, told)
-        self.estimate.tracking.add((estimated, start_ned_m), (self._record.reference.pos_ned_m, start_ned_m))
+        wanted = self._record.reference.pos_ned_m
+        self.estimate.tracking.add(relative(estimated, start_ned_m), relative(wanted, start_ned_m))
 
     def _ask_for_origin(self, now_us: int) -> None:
         """Once a second, until it is told."""

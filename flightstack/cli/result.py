@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.cli.column import Column
 from flightstack.cli.estimate_score import NO_ESTIMATE
 from flightstack.cli.verdict import HELD, LEFT, OFF, spans_words
 from flightstack.scenario import Check
@@ -24,24 +25,29 @@ _PLACES = ("log", "report")
 Place = F64 | Tuple3
 
 
+def relative(position_ned_m: Place, start_ned_m: Place) -> Tuple3:
+    """A position seen from where the flight began."""
+    north, east, down = position_ned_m if isinstance(position_ned_m, tuple) else position_ned_m.tolist()
+    start_n, start_e, start_d = start_ned_m if isinstance(start_ned_m, tuple) else start_ned_m.tolist()
+    return north - start_n, east - start_e, down - start_d
+
+
 @dataclass(slots=True)
 class TrackingScore:
     """Distance from the scenario's reference, tick by tick, while the scenario is tracked; worked out at the end."""
 
     of: str
-    _positions: list[tuple[Place, Place]] = field(default_factory=list)
-    _references: list[tuple[Place, Place]] = field(default_factory=list)
+    _distances_m: Column = field(default_factory=Column)
 
-    def add(self, position: tuple[Place, Place], reference: tuple[Place, Place]) -> None:
-        """One tick: both positions (3,) NED, each with the place of arming in its own frame, (3,)."""
-        self._positions.append(position)
-        self._references.append(reference)
+    def add(self, place_ned_m: Tuple3, wanted_ned_m: Tuple3) -> None:
+        """One tick: where it is and where it should be, each from the place of arming in its own frame."""
+        self._distances_m.append(math.dist(place_ned_m, wanted_ned_m))
 
     def summary(self) -> dict[str, Any]:
         """The JSON's `tracking`; null figures where nothing was tracked."""
-        if not self._positions:
+        if not len(self._distances_m):
             return {"of": self.of} | dict.fromkeys(("rmse_m", "max_m", "rmse_settled_m"))
-        distance = np.array(list(map(math.dist, _relative(self._positions), _relative(self._references))))
+        distance = self._distances_m.table()
         settled = distance[len(distance) // 2 :]
         return {
             "of": self.of,
@@ -49,13 +55,6 @@ class TrackingScore:
             "max_m": float(distance.max()),
             "rmse_settled_m": float(np.sqrt(np.mean(settled**2))),
         }
-
-
-def _relative(places: list[tuple[Place, Place]]) -> list[list[float]]:
-    """Each position seen from where its flight began."""
-    table = np.array(places)
-    relative: list[list[float]] = (table[:, 0] - table[:, 1]).tolist()
-    return relative
 
 
 _STALLS_KEPT = 20
@@ -66,7 +65,7 @@ class LoopTiming:
     """What is known of a real-time loop's punctuality: the time between two ticks."""
 
     rate_hz: int
-    lateness_us: list[float] = field(default_factory=list)
+    lateness_us: Column = field(default_factory=Column)
     """Time between two ticks beyond the period, each."""
     missed: int = 0
     stalls: list[dict[str, Any]] = field(default_factory=list)
@@ -97,9 +96,9 @@ class LoopTiming:
         }  # fmt: skip
 
 
-def percentiles(values: Collection[float]) -> dict[str, float | None]:
+def percentiles(values: Collection[float] | Column) -> dict[str, float | None]:
     """p50, p99 and maximum; null where there is nothing."""
-    if not values:
+    if not len(values):
         return dict.fromkeys(("p50", "p99", "max"))
     array = np.array(list(values), dtype=np.float64)
     return {"p50": float(np.percentile(array, 50)), "p99": float(np.percentile(array, 99)), "max": float(array.max())}

@@ -7,14 +7,14 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from flightstack.cli.barrier_score import FilterScore, RegionScore, barrier_summary, qp_summary
-from flightstack.cli.calibration import gp_summary
+from flightstack.cli.calibration import LearnedScore, gp_summary
 from flightstack.cli.estimate_score import EstimateScore
 from flightstack.cli.preparation import Prepared
-from flightstack.cli.result import NO_LOOP, FlightResult, LoopTiming, Place, TrackingScore, judge, percentiles
+from flightstack.cli.result import NO_LOOP, FlightResult, LoopTiming, Place, TrackingScore, judge, percentiles, relative
 from flightstack.cli.site import TimedSiteFilter
 from flightstack.cli.verdict import Ascent, Flown, most_rms_m, protection_of
 from flightstack.mission import first_height_m
-from flightstack.types import F64, Learned, TickRecord, Tuple3
+from flightstack.types import Learned, TickRecord
 from flightstack_logs.recorder import NoLog
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge.companion import Companion
@@ -36,8 +36,7 @@ class FlightScore:
         self._by_estimate = of == "estimate"
         self._learning = prepared.stack.learner.enabled
         self._last_learned: Learned | None = None
-        self._learned_rows: list[F64] = []
-        self._truths: list[Truth] = []
+        self._learned = LearnedScore()
         protection = prepared.protection
         self.region = RegionScore(protection.region, protection.watched)
         self._judging = self.region.of is not None
@@ -94,16 +93,16 @@ class FlightScore:
         record, companion = self._record, self.companion
         if record is None or companion is None or track_s is None:
             return
-        place, seen = _relative(pos_ned_m, start_ned_m), record.measurement
+        place, seen = relative(pos_ned_m, start_ned_m), record.measurement
         at_n, at_e, at_d, *velocity = seen.row[:6].tolist()
-        flown = _relative((at_n, at_e, at_d), companion.start_ned_m)
+        flown = relative((at_n, at_e, at_d), companion.start_ned_m)
         self.ascent.height(float(start_ned_m[2]) - float(pos_ned_m[2]))
         if self.site is not None:
             flight_s = (record.t_us - companion.flight_start_us) * 1e-6
             self.site.place(flight_s, record, place)
         if self._judging:
             state = (*flown, *velocity)
-            true = None if truth is None else (*_relative(truth.pos_ned_m, start_ned_m), *truth.vel_ned_mps)
+            true = None if truth is None else (*relative(truth.pos_ned_m, start_ned_m), *truth.vel_ned_mps)
             self.region.add(record.t_us, state, true)
             watched = self.prepared.protection.watched
             if watched is not None and watched.adopted:
@@ -115,7 +114,7 @@ class FlightScore:
         if self.site is not None:  # what was asked for through a wall is not what was to be flown
             followed = self.site.filter.reference or followed
         wanted = followed.row[:3]
-        self.tracking.add((pos_ned_m, start_ned_m), (wanted, companion.start_ned_m))
+        self.tracking.add(place, relative(wanted, companion.start_ned_m))
         error = None
         if truth is not None:
             (n, e, d), (tn, te, td) = flown, place
@@ -125,9 +124,7 @@ class FlightScore:
             math.dist((at_n, at_e, at_d), wanted.tolist()), error,
         )  # fmt: skip
         if self._learning:
-            self._learned_rows.append(record.learned.row)
-            if truth is not None:
-                self._truths.append(truth)
+            self._learned.add(record.learned, truth)
 
     def result(
         self,
@@ -166,7 +163,7 @@ class FlightScore:
             plant=plant,
             controller=prepared.settings["controller"],
             tracking=tracking,
-            gp=gp_summary(stack.learner, stack.model, self._last_learned, self._learned_rows, self._truths),
+            gp=gp_summary(stack.learner, stack.model, self._last_learned, self._learned),
             loop=timing.summary() if timing is not None else NO_LOOP,
             barrier=barrier_summary(self._filtering, region, self._filter, self.site),
             qp=qp_summary(stack.filter, self._filter.infeasible),
@@ -199,10 +196,3 @@ def link_summary(companion: Companion) -> dict[str, object]:
         "dropped": {name: stats[name] for name in reasons if stats[name]},
         "signed": companion.link.signing,
     }
-
-
-def _relative(position_ned_m: Place, start_ned_m: Place) -> Tuple3:
-    """A position seen from where the flight began."""
-    north, east, down = position_ned_m if isinstance(position_ned_m, tuple) else position_ned_m.tolist()
-    start_n, start_e, start_d = start_ned_m if isinstance(start_ned_m, tuple) else start_ned_m.tolist()
-    return north - start_n, east - start_e, down - start_d

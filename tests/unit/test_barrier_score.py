@@ -86,7 +86,7 @@ def test_only_steps_that_solve_are_timed_and_an_init_forgets_them() -> None:
     assert len(timed.solve_ns) == 4
     assert min(timed.solve_ns) >= 1_000_000
     run(timed, 2)
-    assert timed.solve_ns == []
+    assert len(timed.solve_ns) == 0
 
 
 def test_a_timed_filter_hands_certificates_on() -> None:
@@ -194,7 +194,8 @@ def test_under_a_certificate_the_one_in_force_at_the_tick_judges() -> None:
 
 def test_the_json_of_a_filtered_flight_has_the_fields_that_are_promised() -> None:
     timed = TimedFilter(Says(says(2)))
-    timed.solve_ns = [20_000, 30_000, 40_000]
+    for solve_ns in (20_000, 30_000, 40_000):
+        timed.solve_ns.append(solve_ns)
     region = scored(BOX, np.full(300, -1.5))
     result = flown(
         barrier=barrier_summary(True, region, FilterScore(interventions=12)), qp=qp_summary(timed, 3), region=region

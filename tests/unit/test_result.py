@@ -14,13 +14,13 @@ from log_samples import tick_record
 from shipped import load_vehicle
 
 from flightstack.cli import console
-from flightstack.cli.calibration import TimedLearner, gp_summary
+from flightstack.cli.calibration import LearnedScore, TimedLearner, gp_summary
 from flightstack.cli.recorder import LearnerEvents
 from flightstack.cli.result import NO_GP, NO_LOOP, FlightResult, judge, percentiles
 from flightstack.model import Model
 from flightstack.scenario import Check
 from flightstack.seams import NoLearner
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement, changed
+from flightstack.types import STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement, changed
 from flightstack_sim.plant import Truth
 
 MODEL = Model.from_vehicle(load_vehicle("quad-x"))
@@ -60,8 +60,11 @@ def hovers(mass_ratio: float) -> Truth:
     return Truth(0, zero, zero, UPRIGHT, zero, force, zero, (norm,) * 4, (0.0,) * 4, zero, 16.0, False)
 
 
-def rows(*learned: Learned) -> list[F64]:
-    return [one.row for one in learned]
+def ticks(*learned: Learned, truth: Truth | None = None) -> LearnedScore:
+    score = LearnedScore()
+    for one in learned:
+        score.add(one, truth)
+    return score
 
 
 # ---------------------------------------------------------------- timing
@@ -79,14 +82,14 @@ def test_a_timed_learner_says_what_the_learner_says_and_counts_every_step_since_
     assert len(timed.step_ns) == 3
     assert min(timed.step_ns) >= 1_000_000
     assert timed.init() == 0
-    assert timed.step_ns == []
+    assert len(timed.step_ns) == 0
 
 
 # ---------------------------------------------------------------- the JSON's `gp`
 
 
 def test_without_a_learner_every_figure_is_null() -> None:
-    summary = gp_summary(NoLearner(), MODEL, None, [], [])
+    summary = gp_summary(NoLearner(), MODEL, None, ticks())
     assert summary.pop("enabled") is False
     assert summary.pop("step_us") == {"p50": None, "p99": None, "max": None}
     assert set(summary.values()) == {None}
@@ -95,7 +98,7 @@ def test_without_a_learner_every_figure_is_null() -> None:
 def test_coverage_is_of_the_truth_against_the_delivered_thrust() -> None:
     """Hovering with 1.4 times the mass leaves (0, 0, 0.4 g): x is wrong throughout, z right in one tick of two."""
     right, wrong = knows((1.0, 0.0, 0.4 * STANDARD_GRAVITY_MPS2)), knows((1.0, 0.0, 3.0))
-    summary = gp_summary(Said(right), MODEL, wrong, rows(right, wrong), [hovers(1.4), hovers(1.4)])
+    summary = gp_summary(Said(right), MODEL, wrong, ticks(right, wrong, truth=hovers(1.4)))
     assert summary["coverage_3sigma_axes"] == [0.0, 1.0, 0.5]
     assert summary["coverage_3sigma"] == pytest.approx(0.5)
     assert summary["coverage_simultaneous"] == 0.0
@@ -103,14 +106,14 @@ def test_coverage_is_of_the_truth_against_the_delivered_thrust() -> None:
 
 def test_a_tick_before_anything_is_used_counts_and_one_without_a_word_does_not() -> None:
     early = knows((0.0, 0.0, 0.0), sigma=5.0, stage=0.0)
-    truths = [hovers(1.4)] * 2
-    summary = gp_summary(Said(early), MODEL, early, rows(early, Learned.nothing()), truths)
+    score = ticks(early, Learned.nothing(), truth=hovers(1.4))
+    summary = gp_summary(Said(early), MODEL, early, score)
     assert summary["coverage_3sigma"] == 1.0
 
 
 def test_where_nobody_knows_the_truth_coverage_is_null_and_the_rest_is_said() -> None:
     learned = knows((0.0, 0.0, 0.0), thrust_gain=0.714)
-    summary = gp_summary(Said(learned), MODEL, learned, rows(learned), [])
+    summary = gp_summary(Said(learned), MODEL, learned, ticks(learned))
     assert summary["coverage_3sigma"] is None
     assert summary["coverage_simultaneous"] is None
     expected = {"enabled": True, "points": 300, "fed": 15000, "refused": 7, "changes": 1, "latency_s": 0.008}
@@ -121,7 +124,7 @@ def test_where_nobody_knows_the_truth_coverage_is_null_and_the_rest_is_said() ->
 
 def test_the_summary_is_json_whatever_the_learner_says() -> None:
     learned = knows((math.nan,) * 3, sigma=math.nan, latency_s=math.nan, thrust_gain=math.inf)
-    summary = gp_summary(TimedLearner(Said(learned)), MODEL, learned, rows(learned), [hovers(1.0)])
+    summary = gp_summary(TimedLearner(Said(learned)), MODEL, learned, ticks(learned, truth=hovers(1.0)))
     assert set(summary) == set(NO_GP)
     json.dumps(summary, allow_nan=False)
     assert summary["latency_s"] is None
@@ -131,7 +134,7 @@ def test_the_conformal_check_is_of_the_learners_own_targets() -> None:
     rng = np.random.default_rng(0)
     off = np.repeat(rng.normal(size=(400, 3)), 60, axis=0)
     noisy = [knows((0.0, 0.0, 0.0), sigma=0.5, target_frd_mps2=each) for each in off]
-    summary = gp_summary(Said(noisy[0]), MODEL, noisy[0], rows(*noisy), [])
+    summary = gp_summary(Said(noisy[0]), MODEL, noisy[0], ticks(*noisy))
     assert set(summary["conformal"]) == {"quantile_sigma", "coverage_heldout", "alpha"}
     assert summary["conformal"]["quantile_sigma"] == pytest.approx(3.0 / 0.5, rel=0.2)  # errors of 1, claimed as 0.5
     assert summary["conformal"]["coverage_heldout"] == pytest.approx(0.9973, abs=0.005)
@@ -139,8 +142,9 @@ def test_the_conformal_check_is_of_the_learners_own_targets() -> None:
 
 def test_step_times_are_in_microseconds() -> None:
     timed = TimedLearner(Said(knows((0.0, 0.0, 0.0))))
-    timed.step_ns = [1_000, 2_000, 3_000]
-    assert gp_summary(timed, MODEL, None, [], [])["step_us"] == percentiles([1.0, 2.0, 3.0])
+    for step_ns in (1_000, 2_000, 3_000):
+        timed.step_ns.append(step_ns)
+    assert gp_summary(timed, MODEL, None, ticks())["step_us"] == percentiles([1.0, 2.0, 3.0])
 
 
 # ---------------------------------------------------------------- the result
