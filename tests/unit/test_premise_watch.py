@@ -109,6 +109,16 @@ def test_a_breach_is_told_at_once_and_ends_the_certificate_after_20_ms(
     assert NAMES[state.ended] == name, "what ended it does not come back by itself"
 
 
+def test_what_the_link_takes_counts_where_the_imu_shows_no_latency() -> None:
+    """30 ms there and back by its round trips, where the certificate counts on commands much sooner; a link quicker
+    than that says nothing of the rest of their way."""
+    unknown, late, quick = seen(latency_s=math.nan), measured(), measured()
+    late.late_us, quick.late_us = 30_000, 2_500
+    assert run(50, watched(1, PREMISES), quick, unknown).broken == 0
+    assert run(50, watched(1, PREMISES), measured(), unknown).broken == 0
+    assert NAMES[run(50, watched(1, PREMISES), late, unknown).ended] == "delay"
+
+
 LAPSES: list[tuple[str, dict[str, Any], dict[str, Any], int]] = [
     ("link", {"position_age_us": 20_000}, {}, 50),
     ("link", {"attitude_age_us": 10_000}, {}, 50),
