@@ -98,7 +98,7 @@ def _without_loop_noise(
         logged = [replace(s, command_late_s=late_s) for s, late_s in zip(of.flights, centre_s, strict=True)]
         as_logged = replace(of, flights=tuple(logged))
         flights = without_bias(naming, as_logged).flights
-        late = instruments.other_lateness(vehicle, naming.vehicle, naming.found, flights, of.fit)
+        late = instruments.delay_for_lag(vehicle, naming.vehicle, naming.found, flights, of.fit)
         if late is not None:
             (old,) = late.indistinguishable_from
             found = tuple(late if f.name == old else f for f in naming.found)

@@ -143,19 +143,19 @@ def _by(
     return out
 
 
-def other_lateness(
+def delay_for_lag(
     believed: Vehicle,
     vehicle: Vehicle,
     found: Sequence[IdentifiedEffect],
     flights: Sequence[Samples],
     masks: Sequence[Mask],
 ) -> IdentifiedEffect | None:
-    """The delay in a named lag's place, or the lag in a delay's, where instruments are sure of it and of that alone.
+    """The delay in a named lag's place where instruments are sure of it and find nothing of the lag.
 
     In a hover commands are little but the gyro's noise passed on, which a lag passes for better than a delay does.
     """
     named = [f for f in found if f.name in dict(_LATE)]
-    if len(named) != 1 or named[0].indistinguishable_from:
+    if [f.name for f in named] != ["motor_lag"] or named[0].indistinguishable_from:
         return None
     now, off, sigma = vehicle, np.zeros(2), np.zeros(2)
     for e, p in _LATE:
@@ -171,13 +171,11 @@ def other_lateness(
         for (e, p), change in zip(_LATE, told.change, strict=False):
             now = with_value(now, e, {p: float(np.clip(value(now, e, p) + change, *plausible(believed, e, p)))})
         off = np.array([value(now, e, p) - value(believed, e, p) for e, p in _LATE])
-    mine = [e for e, _ in _LATE].index(named[0].name)
-    other = 1 - mine
-    if abs(off[mine]) > SURE_ERRORS * sigma[mine] or chi2_tail(1, float(off[other] / sigma[other]) ** 2) > RARE_P:
+    if abs(off[0]) > SURE_ERRORS * sigma[0] or chi2_tail(1, float(off[1] / sigma[1]) ** 2) > RARE_P:
         return None
-    effect, parameter = _LATE[other]
-    before, reach = value(believed, effect, parameter), CI * float(sigma[other])
-    size = before + float(off[other])
+    effect, parameter = _LATE[1]
+    before, reach = value(believed, effect, parameter), CI * float(sigma[1])
+    size = before + float(off[1])
     parameters = {parameter: Estimate(before, size, max(size - reach, 0.0), size + reach)}
     return replace(named[0], name=effect, parameters=parameters, indistinguishable_from=(named[0].name,))
 

@@ -61,7 +61,7 @@ def test_the_truth_is_left_alone(shaky: Samples) -> None:
 
 def test_a_lag_that_is_one_stays_one(shaky: Samples) -> None:
     found, vehicle = lag_of(TRUE_LAG_S)
-    assert instruments.other_lateness(quad(), vehicle, [found], [shaky], [shaky.valid]) is None
+    assert instruments.delay_for_lag(quad(), vehicle, [found], [shaky], [shaky.valid]) is None
 
 
 def test_a_delay_in_a_hover_is_no_lag(tmp_path: Path) -> None:
