@@ -53,7 +53,7 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Learned, Meas
 _MOST_US = 50_000
 """Over more than this nothing is carried: the ages tell the guard."""
 LATE_MOST_US = 60_000
-"""Nor further ahead than this."""
+"""Nor is anything looked up further ahead than this, whatever the link is said to take."""
 _PAUSE_US = 100_000.0
 """After a longer pause others give the commands."""
 _NEVER_S = 1e9
@@ -87,11 +87,11 @@ class UnderWay:
         in_force: F64 | None = None,
     ) -> Measurement:  # fmt: skip
         """The state at `now_us`; `sent`: the newest command, as applied; `in_force`: a certificate (`packed`)."""
-        age_us, late_us = max(now_us - measurement.t_us, 0), measurement.late_us
+        age_us, late_us = max(now_us - measurement.t_us, 0), min(max(measurement.late_us, 0), LATE_MOST_US)
         delay_s = learned.delay_s if learned.delay_s >= 0.0 else self._delay_s + 1e-6 * late_us
         row, felt = measurement.row.copy(), measurement.row.copy()
         to_us = measurement.t_us + min(age_us, _MOST_US)
-        times_us = (float(measurement.t_us), float(to_us), float(to_us + min(late_us, LATE_MOST_US)))
+        times_us = (float(measurement.t_us), float(to_us), float(to_us + late_us))
         _CARRY.call(
             memory, self._chain, round(1e6 * delay_s), learned.thrust_gain, times_us,
             (float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps), row, felt,

@@ -6,6 +6,9 @@ answer to a TIMESYNC question holds just that: the vehicle's time when it was as
 round trip is shared between both ways does not matter, nor when the answer arrives, and a clock that stood still
 counts here as it counts in the ages of samples.
 
+No command takes longer than the whole round trip: an answer that has it so, or has it come before it was sent, is by
+another clock than the samples' stamps, and its trip counts in its place.
+
 The median of the last answers counts, followed no faster than a reference may be moved; less than half a tick is
 nothing.
 """
@@ -13,6 +16,8 @@ nothing.
 from __future__ import annotations
 
 from collections import deque
+
+from flightstack.under_way import LATE_MOST_US
 
 _ANSWERS = 10
 _LEAST_ANSWERS = 3
@@ -28,12 +33,13 @@ class CommandWay:
         self._latest: deque[int] = deque(maxlen=_ANSWERS)
         self._followed_us = -1
 
-    def answered(self, late_us: int) -> None:
-        """The vehicle's time in an answer less the companion's vehicle time when it asked."""
-        self._latest.append(late_us)
+    def answered(self, late_us: int, trip_us: int) -> None:
+        """The vehicle's time in an answer less the companion's vehicle time when it asked; what the trip took of it."""
+        possible = -_NOTHING_US <= late_us <= trip_us + _NOTHING_US
+        self._latest.append(late_us if possible else trip_us)
         if len(self._latest) < _LEAST_ANSWERS:
             return
-        middle_us = max(sorted(self._latest)[len(self._latest) // 2], 0)
+        middle_us = min(max(sorted(self._latest)[len(self._latest) // 2], 0), LATE_MOST_US)
         if self._followed_us < 0:
             self._followed_us = middle_us
         step_us = middle_us - self._followed_us

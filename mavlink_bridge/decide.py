@@ -23,7 +23,7 @@ SECOND_US = 1_000_000
 _ESTIMATOR_READY = 0x27
 """ESTIMATOR_STATUS.flags: attitude, horizontal and vertical velocity, height."""
 ROUND_TRIP_MAX_S = 0.055
-"""Median of the last round trips: what is later than 20 ms one way is no good for body rates."""
+"""Median of the last round trips: 20 ms each way, a tick and jitter are flown on a real PX4, no more was."""
 _LANDING_S, _LANDING_MPS = 60.0, 0.3
 _DISARMS_AFTER_S = 2.0
 """So long after it has landed PX4 disarms (COM_DISARM_LAND): what is disarmed sooner was so by somebody."""

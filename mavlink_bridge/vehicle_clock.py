@@ -92,7 +92,10 @@ class VehicleClock:
         trip_us = answered_us - asked_us
         if self._anchor is None or trip_us < 0:
             return
-        if self._has_stood(vehicle_us - self.vehicle_us(asked_us), trip_us):
+        way_us = vehicle_us - self.vehicle_us(asked_us)
+        if trip_us > _ROUND_TRIP_MAX_US and way_us > (trip_us + _STOOD_US) * max(1.0, self.rate):
+            return  # no way takes longer than the whole trip: it is by another clock than the stamps
+        if self._has_stood(way_us, trip_us):
             self.slips += 1
             rate = self.rate
             self._restart(vehicle_us, answered_us)
@@ -113,7 +116,7 @@ class VehicleClock:
             rate = self.rate if fitted else median(told)
             self._restart(
                 vehicle_us, answered_us
-            )  # as stamps are taken: by receipt, what the link always takes left out
+            )  # as stamps are taken: by receipt, without what the link always takes
             self.rate = rate
 
     def vehicle_us(self, local_us: int) -> int:

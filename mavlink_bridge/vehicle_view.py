@@ -20,8 +20,9 @@ _HEARTBEAT_LATE_US = 2_500_000
 """PX4 sends one a second, and a vehicle's second beside a busy machine lasts longer."""
 _MODE_AND_INTENTION_US = 1_000_000
 _QUICK_US = 40_000
+"""A round trip of a link that is quick enough now and then, whatever most take."""
 _ROUND_TRIPS, _LATEST = 6_000, 10
-"""Ten minutes of them."""
+"""Ten minutes of them, and a second."""
 
 
 class VehicleView:
@@ -189,7 +190,8 @@ class VehicleView:
             self.round_trip_us = latest[len(latest) // 2] if len(latest) >= 3 else 0
             asked_us, vehicle_us = message.ts1_ns // 1000, message.tc1_ns // 1000
             self.clock.observe_round_trip(asked_us, vehicle_us, now_us)
-            self.way.answered(vehicle_us - self.clock.vehicle_us(asked_us))
+            trip_us = round(self.clock.rate * (now_us - asked_us))
+            self.way.answered(vehicle_us - self.clock.vehicle_us(asked_us), trip_us)
 
 
 _PREARM_BIT = 1 << 28

@@ -27,7 +27,7 @@ def inputs(speed: F64, thrust: F64, near: F64) -> F64:
 
 
 def turns(axis_n: F64, axis_e: F64) -> F64:
-    """(M, 3, 3) tilt axes to NED of each thrust axis: `sampler.tilt_axes` for many."""
+    """(M, 3, 3) tilt axes to NED of each thrust axis: `tilt.tilt_axes` for many."""
     down = np.sqrt(np.maximum(1.0 - axis_n**2 - axis_e**2, 0.0))
     share = 1.0 / (1.0 + down)
     cross = -share * axis_n * axis_e

@@ -14,6 +14,7 @@ import numpy as np
 from flightstack.jit import Entry, njit
 from flightstack.learning import sampler as s
 from flightstack.learning.store import INFLATION
+from flightstack.learning.tilt import tilt_axes
 from flightstack.rows import (
     L_APPLIED,
     L_CHANGES,
@@ -128,8 +129,8 @@ def assemble(
     if weight > 0.0:
         cut = forward[0, SLOPE] - (1.0 - gain) * STANDARD_GRAVITY_MPS2 / weight
         forward[0, 2] += cut * sample[s.S_INPUT + s.THRUST]
-    s.tilt_axes(query[0, s.AXIS_N], query[0, s.AXIS_E], tilt)
-    s.tilt_axes(query[0, s.AXIS_N] + step * query[1, s.AXIS_N], query[0, s.AXIS_E] + step * query[1, s.AXIS_E], later)
+    tilt_axes(query[0, s.AXIS_N], query[0, s.AXIS_E], tilt)
+    tilt_axes(query[0, s.AXIS_N] + step * query[1, s.AXIS_N], query[0, s.AXIS_E] + step * query[1, s.AXIS_E], later)
     for i in range(3):
         acc = rate = 0.0
         for k in range(3):

@@ -29,7 +29,7 @@ import numpy as np
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import Entry, njit
 from flightstack.learning import asked
-from flightstack.learning.tilt import tilt_axes as tilt_axes
+from flightstack.learning.tilt import tilt_axes
 from flightstack.model import Model
 from flightstack.rows import VEL_D
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Measurement

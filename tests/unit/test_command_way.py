@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from flightstack.under_way import LATE_MOST_US
 from mavlink_bridge import messages as m
 from mavlink_bridge.command_way import CommandWay
 from mavlink_bridge.vehicle_view import VehicleView
@@ -50,23 +51,42 @@ def test_a_quick_link_is_none_at_all() -> None:
 def test_a_link_that_gets_slower_is_followed_gently() -> None:
     way = CommandWay()
     for _ in range(10):
-        way.answered(10_000)
+        way.answered(10_000, 10_000)
     assert way.late_us == 10_000
     told = []
     for _ in range(20):
-        way.answered(40_000)
+        way.answered(40_000, 40_000)
         told.append(way.late_us)
     assert told[-1] == 40_000
     assert max(np.diff(told)) <= 4_000, "a reference that is looked up so much later moves no faster"
-    way.answered(500_000)
+    way.answered(500_000, 500_000)
     assert way.late_us == 40_000, "one answer that hung is none"
 
 
 def test_too_few_answers_say_nothing_and_what_is_less_than_nothing_is_nothing() -> None:
     way = CommandWay()
-    way.answered(20_000)
-    way.answered(20_000)
+    way.answered(20_000, 20_000)
+    way.answered(20_000, 20_000)
     assert way.late_us == 0
     for _ in range(20):
-        way.answered(-5_000)
+        way.answered(-1_000, 1_000)
     assert way.late_us == 0
+
+
+@pytest.mark.parametrize("wrong_us", [500_000, -500_000, 2**62, -(2**62)])
+def test_answers_by_another_clock_than_the_stamps_count_as_what_their_trips_took(wrong_us: int) -> None:
+    """On a real PX4, 20 ms each way, answers half a second ahead flew figure8 half a second ahead of its reference."""
+    way = CommandWay()
+    for _ in range(600):
+        way.answered(40_000 + wrong_us, 41_000)
+    assert way.late_us == 41_000
+    for _ in range(600):
+        way.answered(wrong_us, 700)
+    assert way.late_us == 0
+
+
+def test_nothing_is_looked_up_further_ahead_than_any_link_that_is_flown() -> None:
+    way = CommandWay()
+    for _ in range(600):
+        way.answered(10**7, 10**7)
+    assert way.late_us == LATE_MOST_US

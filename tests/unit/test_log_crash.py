@@ -151,6 +151,31 @@ def test_a_running_thread_has_written_everything_when_close_returns(tmp_path: Pa
     assert len(read(tmp_path / "a.mcap").messages["/mavlink/rx"]) == 5000
 
 
+def test_the_thread_is_woken_once_there_is_something_worth_it(tmp_path: Path) -> None:
+    """A thread that never looks by itself: a few calls wait, some four ticks' worth is written in its sleep."""
+    log = ThreadedLog(FlightLog.open(tmp_path / "a.mcap", metadata={}), poll_s=3600.0)
+    written, direct = threading.Event(), log.log.mavlink
+
+    def mavlink(direction: str, t_us: int, data: bytes) -> None:
+        direct(direction, t_us, data)
+        if t_us == 39:
+            written.set()
+
+    log.log.mavlink = mavlink  # type: ignore[method-assign]
+    for k in range(40):
+        log.mavlink("rx", k, bytes(10))
+        if k == 5:
+            log.meanwhile(time.monotonic_ns() // 1000 + 60_000_000)
+            assert log._wake.locked(), "it sleeps on"
+    log.meanwhile(time.monotonic_ns() // 1000 + 60_000_000)
+    assert written.wait(30.0)
+    log._stop.set()
+    log._wake.release()
+    log.close()
+    assert log.failed is None
+    assert len(read(tmp_path / "a.mcap").messages["/mavlink/rx"]) == 40
+
+
 def test_a_full_queue_drops_and_counts_and_the_log_says_how_many(tmp_path: Path) -> None:
     log = ThreadedLog(FlightLog.open(tmp_path / "a.mcap", metadata={}), capacity=100, start=False)
     for k in range(250):

@@ -13,7 +13,8 @@ from shipped import load_vehicle
 from flightstack.barrier.estimate_bounds import estimate_bounds
 from flightstack.cli.sensors import error_statistics
 from flightstack.learning import sampler as s
-from flightstack.learning.sampler import Sampler, tilt_axes
+from flightstack.learning.sampler import Sampler
+from flightstack.learning.tilt import tilt_axes
 from flightstack.model import Model
 from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, changed
 from flightstack_sim.grade import load_grade

@@ -13,6 +13,7 @@ from flightstack.model import Model
 from flightstack.predictor import Streams, predict, sampled
 from flightstack.stack import Stack
 from flightstack.types import F64, Command, Learned, changed
+from flightstack.under_way import LATE_MOST_US
 from flightstack.vehicle import scaled, with_effects
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from flightstack_sim.grade import load_grade
@@ -155,3 +156,15 @@ def test_what_a_command_will_meet_is_foreseen(up: int) -> None:
     errors, as_it_is = foreseen(up)
     assert (errors <= [0.022, 0.033, 0.017]).all(), errors
     assert (as_it_is > 2.0 * errors).all(), (errors, as_it_is)
+
+
+def test_however_late_a_link_is_said_to_be_no_more_is_foreseen_than_one_that_is_flown() -> None:
+    streams, stack = Streams(), Stack(MODEL)
+    streams.position(4000, (0.0, 0.0, -1.0), (1.0, 0.0, 0.0))
+    streams.attitude(4000, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    streams.imu(4000, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0))
+    seen = sampled(streams, 4000)
+    assert seen is not None
+    for said_us, counted_us in ((10**7, LATE_MOST_US), (-(10**7), 0)):
+        seen.late_us = said_us
+        assert stack.carried(stack.init(seen), seen, 8000).late_us == counted_us

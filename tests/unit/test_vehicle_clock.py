@@ -160,3 +160,23 @@ def test_a_link_that_gets_quicker_or_slower_is_no_clock_that_stood_still() -> No
             asked_us, at_us, _ = questions.pop(0)
             clock.observe_round_trip(asked_us, 5_000_000 + at_us, local_us)
     assert clock.slips == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_answers_by_another_clock_on_a_late_link_move_no_line(seed: int) -> None:
+    """20 ms each way, answers half a second ahead from 3 s on, and the vehicle's clock stands still once besides: the
+    line stays with the stamps."""
+    clock, rng, offset_us, stands_at_us = VehicleClock(), np.random.default_rng(seed), 5_000_000, 6_000_000
+    questions: list[tuple[int, int]] = []
+    worst_us = 0
+    for local_us in range(0, 9_000_000, 4_000):
+        offset_us -= 30_000 * (local_us == stands_at_us)
+        stamp_us = offset_us + local_us - 20_000 - int(rng.exponential(300))
+        clock.observe(stamp_us, local_us)
+        if local_us % 100_000 == 0:
+            questions.append((local_us, local_us + 20_000 + int(rng.exponential(500))))
+        while questions and questions[0][1] + 20_000 <= local_us:
+            asked_us, at_us = questions.pop(0)
+            clock.observe_round_trip(asked_us, offset_us + at_us + 500_000 * (local_us > 3_000_000), local_us)
+        worst_us = max(worst_us, abs(clock.vehicle_us(local_us) - stamp_us))
+    assert worst_us < 40_000, "what stood still, and some"
