@@ -32,4 +32,5 @@ EFFECT = Effect(
     manoeuvre="the same manoeuvres on a fresh and on an empty battery, with the voltage in the log",
     jsbsim=WRITTEN_IN_AIRCRAFT,
     example={"thrust_loss_per_v": 0.06},
+    told_by_force=True,
 )

@@ -36,4 +36,5 @@ EFFECT = Effect(
     manoeuvre="hover while turning by half a turn, then the same line to and fro",
     jsbsim=WRITTEN_IN_AIRCRAFT,
     example={"north_n": 1.2, "east_n": -0.4, "down_n": 0.2},
+    told_by_force=True,
 )

@@ -39,4 +39,5 @@ EFFECT = Effect(
     manoeuvre="passes at half, one and two rotor diameters over the ground",
     jsbsim=WRITTEN_IN_AIRCRAFT,
     example={"strength": 1.0},
+    told_by_force=True,
 )

@@ -42,4 +42,5 @@ EFFECT = Effect(
     jsbsim=jsbsim,
     example={"k_z_kg_per_rad": 2e-4},
     decay_rate=decay_rate,
+    told_by_force=True,
 )

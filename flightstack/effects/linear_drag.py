@@ -44,4 +44,5 @@ EFFECT = Effect(
     jsbsim=jsbsim,
     example={"d_x_kgps": 0.3, "d_y_kgps": 0.4, "d_z_kgps": 0.2},
     decay_rate=decay_rate,
+    told_by_force=True,
 )

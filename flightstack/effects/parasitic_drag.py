@@ -48,4 +48,5 @@ EFFECT = Effect(
     jsbsim=jsbsim,
     example={"c_x_kg_per_m": 0.02, "c_y_kg_per_m": 0.03, "c_z_kg_per_m": 0.05},
     decay_rate=decay_rate,
+    told_by_force=True,
 )

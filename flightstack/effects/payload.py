@@ -30,4 +30,5 @@ EFFECT = Effect(
     manoeuvre="a thrust chirp, and rate doublets for the torque channel",
     jsbsim=WRITTEN_IN_AIRCRAFT,
     example={"mass_kg": 0.3},
+    told_by_force=True,
 )

@@ -115,6 +115,8 @@ class Effect:
     """Changes states that have a past: lags, delays, a load's swing."""
     turns_only: bool = False
     """Shows only in how soon and how fast a vehicle turns."""
+    told_by_force: bool = False
+    """The force is what tells it, so that gusts may stand in for it: of a weak rotor, say, torques tell."""
 
     def __post_init__(self) -> None:
         for param in self.params:

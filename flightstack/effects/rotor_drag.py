@@ -43,4 +43,5 @@ EFFECT = Effect(
     jsbsim=jsbsim,
     example={"k_d_kg_per_rad": 1.6e-4},
     decay_rate=decay_rate,
+    told_by_force=True,
 )

@@ -104,4 +104,5 @@ EFFECT = Effect(
     jsbsim=NotInJsbsim("the load is a second body, and JSBSim's aircraft is one"),
     example={"mass_kg": 0.25, "length_m": 0.8},
     has_states=True,
+    told_by_force=True,
 )

@@ -39,4 +39,5 @@ EFFECT = Effect(
     manoeuvre="hard climbs and fast descents: thrust from a third to all of it",
     jsbsim=WRITTEN_IN_AIRCRAFT,
     example={"thrust_model_factor": 0.4},
+    told_by_force=True,
 )

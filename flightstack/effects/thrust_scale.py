@@ -31,4 +31,5 @@ EFFECT = Effect(
     manoeuvre="a thrust chirp, and rate doublets for the torque channel",
     jsbsim=WRITTEN_IN_AIRCRAFT,
     example={"scale": 0.9},
+    told_by_force=True,
 )

@@ -32,4 +32,5 @@ EFFECT = Effect(
     manoeuvre="level runs at 4 to 8 m/s",
     jsbsim=WRITTEN_IN_AIRCRAFT,
     example={"k_h_kg_per_m": 0.008},
+    told_by_force=True,
 )

@@ -39,4 +39,5 @@ EFFECT = Effect(
     manoeuvre="straight descents at the speed of the rotors' own wake (3 to 6 m/s)",
     jsbsim=WRITTEN_IN_AIRCRAFT,
     example={"strength": 0.4},
+    told_by_force=True,
 )

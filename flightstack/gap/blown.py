@@ -47,7 +47,7 @@ def with_turbulence(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, ga
     ):  # gusts act through drag: they don't make a turning that nothing explains
         return naming, gap
     held = {f.name for f in naming.found}
-    back = [f for f in naming.proposed if f.name not in {*held, _WIND} and _is_force(f)]
+    back = [f for f in naming.proposed if f.name not in {*held, _WIND} and EFFECTS[f.name].told_by_force]
     kept = [f for f in naming.found if f.name != _WIND]
     wind = [_proposed(vehicle, naming, _WIND)]
     told = _beside(vehicle, naming, of, [*kept, *back, *wind], {f.name for f in (*back, *wind)} | ({_FORCE} & held))
@@ -104,7 +104,7 @@ def _beside(
         if worst == _WIND and chance[worst] < CHANCE_P:
             unsure = blown
         found = [f for f in found if f.name != worst]
-    slow = [f for f in named.found if f.name == _WIND or _is_force(f)]
+    slow = [f for f in named.found if f.name == _WIND or EFFECTS[f.name].told_by_force]
     for f in slow:
         named = _by_gusts(vehicle, named, f, turned, blown)
     if len(both := {f.name for f in slow} & alike.keys()) == 1:
@@ -189,10 +189,3 @@ def _proposed(vehicle: Vehicle, naming: Selection, effect: str) -> IdentifiedEff
 
 def _whole(found: IdentifiedEffect) -> dict[str, float]:
     return {p.name: found.parameters[p.name].estimate for p in EFFECTS[found.name].params if p.integer}
-
-
-def _is_force(found: IdentifiedEffect) -> bool:
-    """Whether it is the force that tells it, so that gusts may stand in for it: of a weak rotor torques do."""
-    if found.name in (_LOAD, "thrust_curve"):
-        return True
-    return EFFECTS[found.name].kind in ("force", "thrust", "load") and found.name != "rotor_fault"
