@@ -301,9 +301,9 @@ def _put_aside(flight: FlightResult, path: Path) -> None:
 
 
 def _write_report(result: CertifyResult, page: Callable[[], str], path: Path) -> None:
-    """The page of the exploration; `result.report` says where, or the flight's `log_problem` why not."""
+    """The page of the exploration; `result.report` says where, or the flight's `report_problem` why not."""
     try:
         files.write_text(path, page())
         result.report = str(path)
     except (InputError, OSError) as error:
-        result.flight.log_problem = result.flight.log_problem or f"no report: {error}"
+        result.flight.report_problem = f"no report: {error}"

@@ -49,8 +49,8 @@ def show_result(result: FlightResult) -> None:
     for name, path in (("log", result.log), ("report", result.report)):
         if path:  # outside the table: a path must never be cut or wrapped
             output.print(f" {name:<8}{path}", soft_wrap=True, markup=False)
-    if result.log_problem:
-        output.print(f" [red]{result.log_problem}[/]", soft_wrap=True)
+    for problem in filter(None, (result.log_problem, result.report_problem)):
+        output.print(f" [red]{problem}[/]", soft_wrap=True)
 
 
 def _show_checklist(result: FlightResult) -> None:
@@ -72,7 +72,9 @@ def _not_passed(result: FlightResult) -> str:
         return "NOT completed"
     if result.unprotected:
         return "completed, but left its region" if result.protection == LEFT else "completed, but not protected"
-    return "completed, but a check failed" if not result.log_problem else "completed, but the log is not whole"
+    if result.log_problem:
+        return "completed, but the log is not whole"
+    return "completed, but there is no report" if result.report_problem else "completed, but a check failed"
 
 
 def show_certified(result: CertifyResult) -> None:

@@ -103,7 +103,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_flight_report(log_path: Path, report_path: Path, result: FlightResult) -> None:
-    """Turn the log into the flight's page; `result.report` says where, or `result.log_problem` why not."""
+    """Turn the log into the flight's page; `result.report` says where, or `result.report_problem` why not."""
     from flightstack_logs.reader import read
     from flightstack_logs.report.log_input import from_log
     from flightstack_logs.report.page import write_report
@@ -112,6 +112,7 @@ def write_flight_report(log_path: Path, report_path: Path, result: FlightResult)
         result.report = str(report_path)
         report_path.parent.mkdir(parents=True, exist_ok=True)  # the log may lie elsewhere
         write_report(from_log(read(log_path), result.as_json()), report_path)
-    except (InputError, OSError) as error:
+    except (InputError, OSError, MemoryError) as error:
         result.report = None
-        result.log_problem = result.log_problem or f"no report: {error}"
+        words = "not enough memory for it; `flightstack log report` makes it elsewhere"
+        result.report_problem = f"no report: {words if isinstance(error, MemoryError) else error}"

@@ -274,7 +274,8 @@ def fly(
 ) -> FlightResult:
     """Fly a scenario in the simulator; log and report lie where the result says.
 
-    `stop_requested` is asked each tick: words of why to land now, or nothing.  InputError before anything flies.
+    `stop_requested` is asked each tick: words of why to land now, or nothing; `report_wanted` when the flight is over
+    and its page not made yet.  InputError before anything flies.
     """
     scenario, file = files.load_scenario(options.scenario, options.waypoints)
     options = with_filed(options, scenario.flight, str(file.path))

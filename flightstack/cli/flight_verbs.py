@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any
@@ -45,6 +46,7 @@ from flightstack.cli.options import (
     asks,
 )
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names
+from flightstack.types import InputError
 
 
 class FlightCommand(TyperCommand):
@@ -89,8 +91,16 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
     from flightstack.cli import console, files, terminal
 
     interrupts = Interrupts()
+
+    def kept(result: Any) -> bool:
+        """Before the page is made: what that costs may end the process, and the result would be lost."""
+        if json_file is not None:
+            with suppress(InputError):  # said below, when the page is made
+                files.write_json(json_file, result.as_json())
+        return True
+
     with terminal.progress(f"flying {options.scenario}") as show:
-        result = fly(options, stop_requested=interrupts.requested, on_progress=show)
+        result = fly(options, stop_requested=interrupts.requested, on_progress=show, report_wanted=kept)
     console.show_result(result)
     if json_file is not None:
         files.write_json(json_file, result.as_json())

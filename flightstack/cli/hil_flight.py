@@ -207,6 +207,7 @@ def fly_behind_px4(
     *,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
+    report_wanted: Callable[[FlightResult], bool] = lambda result: True,
 ) -> FlightResult:
     """Fly a scenario on the PX4 that connects; InputError where none does, or something is wrong beforehand."""
     if options.fault is not None:
@@ -215,6 +216,8 @@ def fly_behind_px4(
         options, vehicle=options.vehicle or DEFAULT_VEHICLE, sensors=options.sensors or DEFAULT_SENSORS, realtime=True
     )
     setup = prepare(options)
+    out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
+    options = replace(options, log=options.log or out / "flight.mcap")
     instance = options.hil_port - HIL_PORT
     with (
         closing(TcpServer.bind(HOST, options.hil_port)) as server,
@@ -224,7 +227,11 @@ def fly_behind_px4(
         with setup.flight.protection.beside():
             warm_up_all(setup)
             _wait_for_px4(server, options.hil_port, stop_requested, on_progress)
-            return _flown(setup, options, (server, link), stop_requested, on_progress)
+            result = _flown(setup, options, (server, link), stop_requested, on_progress)
+    if report_wanted(result):
+        assert options.log is not None
+        files.write_flight_report(options.log, out / "report.html", result)
+    return result
 
 
 def _wait_for_px4(
@@ -249,10 +256,9 @@ def _flown(
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
 ) -> FlightResult:
-    out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
-    log_path = options.log or out / "flight.mcap"
+    assert options.log is not None
     settings = {"pace": "behind a real PX4", "hil_port": str(options.hil_port)}
-    log = setup.flight.with_more(settings).open_log(log_path, clock_metadata(utc_us(), simulated=False))
+    log = setup.flight.with_more(settings).open_log(options.log, clock_metadata(utc_us(), simulated=False))
     with undisturbed(real_time=True) as is_ahead:
         recorder, timing = (
             shown_live(ThreadedLog(log), options.live),
@@ -278,7 +284,6 @@ def _flown(
         plant=setup.plant,
     )
     result.unprotected_ok, result.estimate = options.unprotected_ok, flight.estimate.summary()
-    files.write_flight_report(log_path, out / "report.html", result)
     return result
 
 

@@ -90,6 +90,7 @@ def offboard(
     *,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None] = lambda share, phase: None,
+    report_wanted: Callable[[FlightResult], bool] = lambda result: True,
 ) -> FlightResult:
     """Fly a scenario on the vehicle at an address; InputError before anything moves, else a result."""
     if options.site is not None:
@@ -112,7 +113,7 @@ def offboard(
         with prepared.protection.beside():
             frequent.prepare()
             prepared.warm_up()
-            return _offboard(options, prepared, signer, stop_requested, on_progress)
+            return _offboard(options, prepared, signer, stop_requested, on_progress, report_wanted)
 
 
 def _offboard(
@@ -121,6 +122,7 @@ def _offboard(
     signer: Signer | None,
     stop_requested: Callable[[], str],
     on_progress: Callable[[float, str], None],
+    report_wanted: Callable[[FlightResult], bool],
 ) -> FlightResult:
     scenario = prepared.scenario
     address = parse_address(options.connect)
@@ -169,7 +171,8 @@ def _offboard(
         finally:
             recorder.close()
     result.log_problem, result.parameters_set = log.failed or "", change.as_json()
-    files.write_flight_report(log_path, out / "report.html", result)
+    if report_wanted(result):
+        files.write_flight_report(log_path, out / "report.html", result)
     return result
 
 

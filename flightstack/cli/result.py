@@ -178,6 +178,8 @@ class FlightResult:
     report: str | None = None
     log_problem: str = ""
     """Why the log is not whole, one line; empty where it is."""
+    report_problem: str = ""
+    """Why there is no page though one was asked for, one line."""
     checks: list[dict[str, Any]] = field(default_factory=list)
     link_too_slow: bool = False
     """Refused before take-off: the certificate that was given does not hold for so slow a link."""
@@ -192,8 +194,8 @@ class FlightResult:
 
     @property
     def passed(self) -> bool:
-        """Not left undone, protected where that was asked for, with the log whole and every check kept."""
-        kept = self.completed is not False and not self.unprotected and not self.log_problem
+        """Not left undone, protected where that was asked for, the log whole, its page made and every check kept."""
+        kept = self.completed is not False and not (self.unprotected or self.log_problem or self.report_problem)
         return kept and all(check["passed"] for check in self.checks) and all(check["ok"] for check in self.checklist)
 
     @property
@@ -230,9 +232,7 @@ class FlightResult:
             return str(self.checklist[-1]["said"])
         if self.unprotected:
             return self.unprotected
-        if self.log_problem:
-            return self.log_problem
-        return self._failed_checks()
+        return self.log_problem or self.report_problem or self._failed_checks()
 
     def _failed_checks(self) -> str:
         failed = [check for check in self.checks if not check["passed"]]
