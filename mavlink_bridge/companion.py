@@ -84,8 +84,7 @@ class Companion:
         self._refiner = StateObserver(errs) if errs is not None and errs.independent else None
         self._stack_state: StackState | None = None
         self._hold: FlatOutput | None = None
-        self._mission_complete = False
-        self._landing = False
+        self._mission_complete = self._landing = False
         """PX4 has taken the command to land; that the mode falls back to OFFBOARD after it disarms means nothing."""
         self._measurement: Measurement | None = None
         """The state at this step; None until every stream has been heard."""
@@ -173,18 +172,19 @@ class Companion:
     def _look(self, now_us: int) -> None:
         """The state of the vehicle and of the mission at this step."""
         now, t_us = self._now, self._t_us
-        self.last_t_us = t_us
         measured = sampled(self.view.streams, t_us, corrected=self._refiner is None)
         if measured is not None:
             measured.battery_v, measured.late_us = self.view.battery_v, self.view.way.late_us
-            measured = measured if self._refiner is None else self._refiner.refine(measured)
+            measured = self._refiner.refine(measured) if self._refiner else measured
             measured = self._stack.carried(self._stack_state, measured, t_us)
-        self._measurement = measured
-        if self._measurement is not None and self.view.on_ground and not self.view.armed:
+        self._measurement, self.last_t_us = measured, t_us
+        if measured is not None and self.view.on_ground and not self.view.armed:
             self._rested = min(self._rested + 1, _REST_TICKS)
-            self._rest_ned_m += (self._measurement.pos_ned_m - self._rest_ned_m) / self._rested
-        lost = stale(self._measurement, self._stack.limits)
-        now.fresh = not lost
+            self._rest_ned_m += (measured.pos_ned_m - self._rest_ned_m) / self._rested
+        lost = stale(measured, self._stack.limits)
+        now.fresh, now.catching_up = not lost, self._watch.pace.has_slept(now_us)
+        if lost and now.state is State.OFFBOARD:
+            self._commands.renew(now_us)
         now.unfit, now.trouble = self._watch.judge()
         if now.dead_man_lost and self.view.params.needs_dead_man:
             now.trouble = now.trouble or "dead-man-lost"
@@ -292,7 +292,7 @@ class Companion:
             if self._now.fresh and self._now.stalls.hold_is_settled(self.view):
                 self._command_mode(px4.MODE_OFFBOARD, now_us)
         elif state is State.IDENTIFYING:
-            self._commands.ensure(self._request(m.AutopilotVersion), now_us)
+            self._commands.identify(now_us)
         elif state is State.STANDBY:
             self.view.params.ask(self.link, system, now_us)
         elif state is State.STREAMING and not (self._config.dry_run or self._watch.pace.has_slept(now_us)):

@@ -42,7 +42,7 @@ class CompanionConfig:
     dry_run: bool = False
     """Connect and check, send no setpoint."""
     heartbeat_timeout_s: float = 10.0
-    identify_timeout_s: float = 5.0
+    identify_timeout_s: float = 10.0
     ready_timeout_s: float = 30.0
     arm_timeout_s: float = 10.0
     link_loss_s: float = 3.0
@@ -90,6 +90,8 @@ class Situation:
     """Why the companion itself ends the flight early; empty: goes on."""
     fresh: bool = False
     """Attitude, position and IMU are there and not stale."""
+    catching_up: bool = False
+    """What has piled up in a pause of ours is being read: what is heard may be over."""
     parameters_changed: bool = False
     """Since they were judged somebody set one."""
     gains_changed: bool = False
@@ -189,8 +191,8 @@ def _standby(now: Situation, now_us: int) -> Decision | None:
     if not missing:
         return Decision(HandshakeEvent.READY)
     if _in_state_s(now, now_us) > config.ready_timeout_s:
-        reason = f"not ready within {config.ready_timeout_s:g} s: {', '.join(missing)}"
-        return Decision(HandshakeEvent.TIMEOUT, reason + _says(view, now_us, 10))
+        words = f"not ready within {config.ready_timeout_s:g} s: {', '.join(missing)}{_says(view, now_us, 10)}"
+        return Decision(HandshakeEvent.TIMEOUT, words)
     return None
 
 
@@ -205,13 +207,13 @@ def _parameters_wrong(now: Situation) -> str:
 
 def _missing(now: Situation) -> list[str]:
     """What stands between the vehicle and a flight, in words."""
-    missing = []
-    if not now.fresh:
-        missing.append("no fresh attitude, position and IMU streams")
+    missing = [] if now.fresh else ["no fresh attitude, position and IMU streams"]
     if slow := _too_slow(now):
         missing.append(slow)
     if not estimate_is_good(now.view.estimator_flags):
         missing.append(f"estimate not good (ESTIMATOR_STATUS flags {now.view.estimator_flags:#x})")
+    if now.commands.is_waiting:
+        missing.append("streams asked for, not all answered")
     if now.view.landed_state == 0:
         missing.append("landed state unknown")
     if not now.view.params.settled:
@@ -236,7 +238,7 @@ def _too_slow(now: Situation) -> str:
 
 def _streaming(now: Situation, now_us: int) -> Decision | None:
     view, config = now.view, now.config
-    if view.armed and view.in_offboard:
+    if view.armed and view.in_offboard and not now.catching_up:
         return Decision(HandshakeEvent.ENGAGED)
     if view.armed and view.would_return:
         return Decision(
@@ -360,9 +362,8 @@ def landing_limit_s(height_m: float) -> float:
 
 def _holding(now: Situation, now_us: int) -> Decision | None:
     view = now.view
-    if view.heartbeat_at_us > now.entered_us and not view.armed:
-        return Decision(HandshakeEvent.HANDED_OVER)
-    if view.mode_at_us > now.entered_us and not view.in_offboard:
+    is_disarmed = view.heartbeat_at_us > now.entered_us and not view.armed
+    if is_disarmed or (view.mode_at_us > now.entered_us and not view.in_offboard):
         return Decision(HandshakeEvent.HANDED_OVER)
     if _in_state_s(now, now_us) > now.config.link_loss_s:
         return Decision(HandshakeEvent.TIMEOUT)
@@ -372,9 +373,8 @@ def _holding(now: Situation, now_us: int) -> Decision | None:
 def _link_lost(now: Situation, now_us: int) -> str:
     """Why there is nothing left to fly with; empty where there is."""
     silent_us = now_us - now.view.heard_at_us
-    if silent_us > now.config.link_loss_s * SECOND_US:
-        return f"link lost: nothing heard for {silent_us / SECOND_US:.1f} s"
-    return ""
+    is_lost = silent_us > now.config.link_loss_s * SECOND_US
+    return f"link lost: nothing heard for {silent_us / SECOND_US:.1f} s" if is_lost else ""
 
 
 def _in_state_s(now: Situation, now_us: int) -> float:

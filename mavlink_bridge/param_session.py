@@ -51,7 +51,7 @@ class ParamSession:
         self._wanted: dict[str, float] = {}
         self._sent: dict[str, tuple[int, int]] = {}
         """Name -> (tries, local time of the last)."""
-        self._heartbeat_us = -_HEARTBEAT_US
+        self._heartbeat_us, self._asked_us = -_HEARTBEAT_US, -_RETRY_US
 
     @property
     def settled(self) -> bool:
@@ -91,11 +91,11 @@ class ParamSession:
         if now_us - self._heartbeat_us >= _HEARTBEAT_US:
             self._heartbeat_us = now_us
             self._link.send(m.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
-            if self.system and not self.identified:
-                version = (float(m.id_of(m.AutopilotVersion)), *(math.nan,) * 6)
-                self._link.send(
-                    m.CommandLong(self.system, px4.COMPONENT_AUTOPILOT, int(px4.Cmd.REQUEST_MESSAGE), 0, version)
-                )
+        if self.system and not self.identified and now_us - self._asked_us >= _RETRY_US:
+            self._asked_us = now_us
+            version = (float(m.id_of(m.AutopilotVersion)), *(math.nan,) * 6)
+            ask = m.CommandLong(self.system, px4.COMPONENT_AUTOPILOT, int(px4.Cmd.REQUEST_MESSAGE), 0, version)
+            self._link.send(ask)
         if not self.system or self.problem:
             return
         if self._wanted and self.armed:

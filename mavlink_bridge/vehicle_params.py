@@ -32,7 +32,7 @@ OPTIONAL = (*RATE_LIMITS, "MC_BAT_SCALE_EN", "NAV_DLL_ACT", *_FUNCTIONS, *GEOMET
 """A PX4 may lack them, or be too old to say that it does."""
 _RETRY_US = 300_000
 _TRIES_NEEDED = 20
-_TRIES_OPTIONAL = 3
+_TRIES_OPTIONAL = 8
 _LOSS_T_RANGE_S = (0.1, 2.0)
 _LOSS_T_ALONE_S = 0.5
 """Longest COM_OF_LOSS_T without a dead-man: in half a second a figure of eight tilts by some 60 degrees."""

@@ -38,7 +38,8 @@ def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) 
     )  # fmt: skip
     vars(seen).update(view or {})
     asked = changes.pop("asked", {})
-    commands = SimpleNamespace(status=lambda command: SimpleNamespace(**{**REQUEST, **asked.get(command, {})}))
+    status = lambda command: SimpleNamespace(**{**REQUEST, **asked.get(command, {})})  # noqa: E731
+    commands = SimpleNamespace(status=status, is_waiting=False)
     stalls = changes.pop("stalls", {})
     held = SimpleNamespace(
         is_held=False, words="no setpoint for 600 ms", own_hold=lambda mode: mode == px4.MODE_HOLD,
@@ -75,8 +76,8 @@ TABLE: list[tuple[State, dict[str, Any], dict[str, Any], float, HandshakeEvent |
     (State.IDENTIFYING, {}, {}, 0.1, E.IDENTIFIED),
     (State.IDENTIFYING, {"heartbeat": SimpleNamespace(autopilot=3, type=2)}, {}, 0.1, E.FOREIGN),
     (State.IDENTIFYING, {"heartbeat": SimpleNamespace(autopilot=12, type=13)}, {}, 0.1, E.FOREIGN),
-    (State.IDENTIFYING, {"version": None}, {}, 5.0, None),
-    (State.IDENTIFYING, {"version": None}, {}, 5.1, E.TIMEOUT),
+    (State.IDENTIFYING, {"version": None}, {}, 10.0, None),
+    (State.IDENTIFYING, {"version": None}, {}, 10.1, E.TIMEOUT),
     (State.IDENTIFYING, {}, {"foreign_system": 2}, 0.1, E.FOREIGN),
     (State.IDENTIFYING, {}, {"rival": "another companion"}, 0.1, E.FOREIGN),
     (State.STANDBY, {}, {}, 0.1, E.READY),

@@ -144,7 +144,7 @@ def _trial(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times: i
 
 def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times: int, *, site: bool) -> Seen | None:
     folder = log_folder(bench, "kills")
-    process = start(px4, folder, "figure8", *(_in_site(folder) if site else ()))
+    process = start(px4, folder, "figure8", *(in_site(folder) if site else ()))
     fast_mps = _FAST_IN_SITE_MPS if site else _FAST_MPS
     try:
         began = px4.wait(lambda: _on_track(px4, fast_mps) or process.poll() is not None, _READY_LIMIT_S)
@@ -177,7 +177,7 @@ def _attempt(bench: Bench, px4: Px4, draw: random.Random, stall_s: float, times:
     return seen
 
 
-def _in_site(folder: Path) -> tuple[str, ...]:
+def in_site(folder: Path) -> tuple[str, ...]:
     """The companion's words for a flight in `SITE`, its files in `folder`."""
     (folder / "field.toml").write_text(SITE)
     words = "--site", str(folder / "field.toml"), "--vehicle", str(light_vehicle(folder)), "--sensors", "px4-sih-ekf"
