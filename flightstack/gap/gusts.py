@@ -8,7 +8,8 @@ metre per second of wind makes (the columns of a steady wind at this vehicle), t
 rho_a = exp(-x) along the wind, (1 - x/2) exp(-x) across and vertical (MIL-F-8785C's low-altitude form, one sigma and
 one length, as the simulator flies them).  Sigma, L and noise are judged by their likelihood on a grid; 95 % intervals
 are those of that grid.  Turbulence is named where this beats plain noise clearly, and beats every other law that a
-force of unknown origin may follow: one of place, airspeed or time, or one that swings.
+force of unknown origin may follow: one of place, airspeed or time, one that swings, or a wind that begins in
+mid-flight (`gap.stepping`).
 
 What is named beside it has columns.  They are fitted with the rest's own covariance, and the likelihood is that of what
 they can't reach (restricted maximum likelihood: Patterson and Thompson, Biometrika 1971): a wind that is fitted as if
@@ -36,6 +37,7 @@ from flightstack.gap.estimator_bias import is_freed
 from flightstack.gap.naming.drivers import quantities
 from flightstack.gap.records import Estimate, IdentifiedEffect, Samples
 from flightstack.gap.simulate import FreeParameter, sensitivities, spec_of
+from flightstack.gap.stepping import stepping_wind
 from flightstack.gap.track import track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -141,7 +143,10 @@ def gusts(
         weight.ravel(), np.concatenate([f.beside for f in fits]), np.concatenate([f.covariance for f in fits])
     )
     force = float(made * told.estimate)
-    other = _other_laws(blocks, same, freed=any(is_freed(s) for s in flights))
+    other = max(
+        _other_laws(blocks, same, freed=any(is_freed(s) for s in flights)),
+        stepping_wind(blocks.y.reshape(-1), blocks.beside, blocks.drag, blocks.flight, blocks.t_s, _RATIOS),
+    )
     return Gusts(told, length, float(logs[best]), other, force, float(turned), moved, covariance)
 
 

@@ -222,6 +222,8 @@ class Unexplained:
     significant: bool
     depends_on: tuple[str, ...] = ()
     fraction: float = 0.0
+    shown: str = ""
+    """What shows it, where neither force nor turning does."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,6 +68,7 @@ def as_json(result: GapResult) -> dict[str, Any]:
             "significant": result.unexplained.significant,
             "depends_on": list(result.unexplained.depends_on),
             "fraction": _known(result.unexplained.fraction),
+            "shown": result.unexplained.shown,
         },
         "untold": result.report.untold,
         "flights": [_across(row) for row in result.across],

@@ -15,6 +15,7 @@ from flightstack.gap.check import check
 from flightstack.gap.classes import without_motors
 from flightstack.gap.concluded import OnProgress, concluded, held_out_gap, silent, without_bias
 from flightstack.gap.decisions import ALL_OF_ONE, CLEAR_SHARE, MOSTLY
+from flightstack.gap.drifting import with_changing_gyro
 from flightstack.gap.likeness import same_flight
 from flightstack.gap.name import DRIFTS, Selection
 from flightstack.gap.pooled import FitHoldoutSplit
@@ -56,6 +57,7 @@ def analyse(
         naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
     if not (held or naming.found) and naming.unexplained.significant:
         naming, of, gap = _split_by_what_is_off(vehicle, flights, (naming, of, gap), called)
+    naming = with_changing_gyro(vehicle, naming, flights)
     on_progress(0.9, "drawing")
     side_only = without_motors(of.flights)
     report = gather.report(vehicle, naming, without_bias(naming, of), gap, (*checked, *kept), side_only=side_only)

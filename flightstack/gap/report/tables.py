@@ -23,6 +23,7 @@ def effects(report: GapReport) -> str:
     rest = report.unexplained
     if rest.significant:
         depends = " and ".join(rest.depends_on) or "nothing that was looked at"
+        depends += f" ({rest.shown})" if rest.shown else ""
         parts.append(
             '<div class="effect"><h3>Something that no effect of the table explains</h3>'
             f'<p class="twin"><b>{words.left_over(rest, report.gap)}</b>; it depends on {escape(depends)}. '

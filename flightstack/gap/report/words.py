@@ -104,7 +104,7 @@ def headline(report: GapReport) -> str:
 
 def is_elsewhere(gap: Gap, unexplained: Unexplained) -> bool:
     """Whether held-out data show no gap, so that what is unexplained shows where was learned from."""
-    return unexplained.significant and gap.closed is None
+    return unexplained.significant and gap.closed is None and not unexplained.shown
 
 
 def is_side_only(report: GapReport) -> bool:
@@ -184,7 +184,7 @@ def left_over(unexplained: Unexplained, gap: Gap) -> str:
 def _depends(unexplained: Unexplained) -> list[str]:
     if not unexplained.depends_on:
         return ["it depends on nothing that these logs show"]
-    return [f"it depends on {' and '.join(unexplained.depends_on)}"]
+    return [f"it depends on {' and '.join(unexplained.depends_on)}", *[unexplained.shown] * bool(unexplained.shown)]
 
 
 def _doubt(found: tuple[IdentifiedEffect, ...]) -> list[str]:
