@@ -46,7 +46,7 @@ from flightstack.cli.options import (
     asks,
 )
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names
-from flightstack.types import InputError
+from flightstack.errors import InputError
 
 
 class FlightCommand(TyperCommand):
