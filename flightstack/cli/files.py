@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -94,11 +95,21 @@ def write_json(path: Path, data: object) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, its folder too; InputError where that can't be done."""
+    """Write a text file, its folder too; InputError where that can't be done, and what was there before stays."""
+    part = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        if path.exists() and not path.is_file():  # a device, a pipe
+            path.write_text(text, encoding="utf-8")
+            return
+        target = path.resolve()
+        part = target.with_name(target.name + ".part")
+        part.write_text(text, encoding="utf-8")
+        part.replace(target)
     except OSError as error:
+        with suppress(OSError):
+            if part is not None:
+                part.unlink(missing_ok=True)
         raise InputError(f"{path}: {error.strerror}; choose another place for the result") from None
 
 

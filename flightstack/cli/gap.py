@@ -53,13 +53,12 @@ def find_gap(
         on_progress=on_progress,
     )
     on_progress(0.98, "writing")
-    _write_whole(options.out / "vehicle.toml", _vehicle_file(result))
+    files.write_text(options.out / "vehicle.toml", _vehicle_file(result))
     try:
         write_report(result.report, options.out / "report.html")
     except OSError as error:
         raise InputError(f"{options.out}: {error.strerror}; choose another folder with --out") from None
-    files.write_json(options.out / "gap.json.part", as_json(result))
-    (options.out / "gap.json.part").replace(options.out / "gap.json")  # last: it says that all is there
+    files.write_json(options.out / "gap.json", as_json(result))  # last: it says that all is there
     return result
 
 
@@ -110,9 +109,3 @@ def _make_folder(out: Path) -> None:
         raise InputError(f"{out}: {error.strerror}; choose another folder with --out") from None
     if not os.access(out, os.W_OK):
         raise InputError(f"{out}: can't be written to; choose another folder with --out")
-
-
-def _write_whole(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    files.write_text(part, text)
-    part.replace(path)
