@@ -99,7 +99,7 @@ def write_text(path: Path, text: str) -> None:
     part = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists() and not path.is_file():  # a device, a pipe
+        if is_stream(path):
             path.write_text(text, encoding="utf-8")
             return
         target = path.resolve()
@@ -111,6 +111,11 @@ def write_text(path: Path, text: str) -> None:
             if part is not None:
                 part.unlink(missing_ok=True)
         raise InputError(f"{path}: {error.strerror}; choose another place for the result") from None
+
+
+def is_stream(path: Path) -> bool:
+    """Whether it is no file of its own: a device, a pipe, what this process has open (/dev/stdout, also with `>`)."""
+    return path.is_relative_to("/dev") or path.is_relative_to("/proc") or (path.exists() and not path.is_file())
 
 
 def write_flight_report(log_path: Path, report_path: Path, result: FlightResult) -> None:

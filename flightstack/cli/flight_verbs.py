@@ -94,7 +94,7 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
 
     def kept(result: Any) -> bool:
         """Before the page is made: what that costs may end the process, and the result would be lost."""
-        if json_file is not None:
+        if json_file is not None and not files.is_stream(json_file):
             with suppress(InputError):  # said below, when the page is made
                 files.write_json(json_file, result.as_json())
         return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -39,3 +40,16 @@ def test_what_ends_the_making_of_the_page_does_not_cost_the_result(
     assert before["log_complete"]
     assert before["report"] is None
     assert {**json.loads(result_file.read_text()), "passed": True} == before  # without its page it has not passed
+
+
+def test_a_pipe_hears_the_result_once(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    try:
+        with pytest.raises(SystemExit) as stop:
+            cli.main(["fly", "hover", "--duration", "1", "--out", str(tmp_path), "--json", f"/dev/fd/{write}"])
+        assert not stop.value.code
+        result = json.loads(os.read(read, 1 << 16))
+    finally:
+        os.close(read)
+        os.close(write)
+    assert result["report"] == str(tmp_path / "report.html")

@@ -47,6 +47,14 @@ def test_a_pipe_is_written_to(tmp_path: Path) -> None:
         os.close(write)
 
 
+def test_a_file_that_is_open_is_written_to_and_not_replaced(tmp_path: Path) -> None:
+    """`--json /dev/stdout > FILE`: what else is said goes to the same file."""
+    with (tmp_path / "out.txt").open("w") as out:
+        files.write_text(Path(f"/dev/fd/{out.fileno()}"), "told")
+        assert (tmp_path / "out.txt").stat().st_ino == os.fstat(out.fileno()).st_ino
+    assert (tmp_path / "out.txt").read_text() == "told"
+
+
 def test_a_folder_in_the_place_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="Is a directory"):
         files.write_text(tmp_path, "told")
