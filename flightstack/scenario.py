@@ -113,6 +113,12 @@ class Scenario:
         """The same scenario with another length of the track; InputError outside 1 to 3600 s."""
         return replace(self, duration_s=number(duration_s, f"{self.name}: duration_s", *_DURATION_S))
 
+    def slowed(self, share: float) -> Scenario:
+        """The same path at `share` of its speed: one that ends takes so much longer, one that goes on for ever is flown
+        for as long as it was."""
+        duration_s = self.duration_s / (share if math.isfinite(self.trajectory.duration_s) else 1.0)
+        return replace(self, trajectory=self.trajectory.slowed(share), duration_s=duration_s)
+
 
 def parse_scenario(text: str, source: str) -> Scenario:
     """The scenario that `text` describes; InputError in one line names `source`, the key and what is allowed."""

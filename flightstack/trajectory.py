@@ -43,6 +43,10 @@ class Trajectory(Protocol):
         """The same with every position moved by `offset_ned_m` (3,)."""
         ...
 
+    def slowed(self, share: float) -> Trajectory:
+        """The same path, flown at `share` of its speed."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sinusoid:
@@ -66,7 +70,13 @@ class Sinusoid:
     def moved(self, offset_ned_m: F64) -> Sinusoid:
         """The same with every position moved by `offset_ned_m` (3,)."""
         table = self.table.copy()
-        table[0] += offset_ned_m
+        table[_CENTRE] += offset_ned_m
+        return Sinusoid(table, self.yaw_rad)
+
+    def slowed(self, share: float) -> Sinusoid:
+        """The same path, flown at `share` of its speed."""
+        table = self.table.copy()
+        table[_RADPS] *= share
         return Sinusoid(table, self.yaw_rad)
 
 
@@ -121,6 +131,10 @@ class Polynomial:
         coefficients = self.coefficients.copy()
         coefficients[:, :3, 0] += offset_ned_m
         return Polynomial(self.knots_s, coefficients)
+
+    def slowed(self, share: float) -> Polynomial:
+        """The same path, flown at `share` of its speed."""
+        return Polynomial(self.knots_s / share, self.coefficients)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ from flightstack.cli.controllers import build
 from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
 from flightstack.cli.quiet import quieted
 from flightstack.cli.recorder import LogObserver, path_of, scene_of
-from flightstack.cli.site import TimedSiteFilter, envelope, load_site, raised
+from flightstack.cli.site import TimedSiteFilter, envelope, load_site
 from flightstack.cli.vehicle_gains import tuned
 from flightstack.cli.versions import versions
 from flightstack.governor import Governor
@@ -148,7 +148,7 @@ def prepare_flight(options: FlightOptions, gains: Gains = MappingProxyType({})) 
     protection = protect(options, scenario, believed, model, _knows(name, learner), options.grade(scenario))
     if protection.site is not None:
         controller = quieted(controller, protection.site.certificate)
-        scenario = raised(scenario, protection.site.raised_m)
+        scenario = protection.site.track.of(scenario)
     if protection.watched is not None:
         protection.watched.trail = Trail(vehicle_file.text)
     if isinstance(learner, GpLearner) and protection.estimate is not None:

@@ -16,13 +16,13 @@ from flightstack.barrier.torque import GovernorTerms
 from flightstack.cli import files
 from flightstack.cli.barrier_score import TimedFilter
 from flightstack.cli.checking import read_bounded
+from flightstack.cli.site_track import AS_ASKED, SiteTrack, track_in
 from flightstack.learning.stored import vehicle_hash
 from flightstack.mission import plan
 from flightstack.model import Limits, Model
-from flightstack.rows import JERK_E, JERK_N
 from flightstack.scenario import Scenario
-from flightstack.site import backup, decide, slide
 from flightstack.site import bend as bending
+from flightstack.site import decide
 from flightstack.site.certificate import prior_of
 from flightstack.site.clearance import CHUTE, clear_of, edge_name, packed
 from flightstack.site.file import MOST_BYTES, parse_site
@@ -33,10 +33,6 @@ from flightstack.types import F64, Command, Filtered, FlatOutput, InputError, Le
 from flightstack.vehicle import Vehicle
 
 _CHUTE_ROOM_M = 1.0
-_ACROSS_M = 0.5
-"""A track that strays no farther from its start stays in the chute."""
-_NOISE_MPS2 = 2.0
-"""How hard a controller pushes down for what the estimate is off by, at most (measured with px4-sih-ekf)."""
 _ENVELOPE_M = 15.0
 _JOINING_S = 0.1
 _DRAWN_EDGES = 24
@@ -108,8 +104,8 @@ class SiteScore:
     bent: list[dict[str, Any]] = field(default_factory=list)
     is_narrow: bool = False
     """The certificate is narrower than the prior, and may be falsified."""
-    raised_m: float = 0.0
-    """By so much higher than asked for the whole flight is flown."""
+    track: SiteTrack = AS_ASKED
+    """How the whole flight is flown otherwise than asked for."""
     _last_s: float = 0.0
     clearance_m: float = math.inf
     """Of the vehicle at the last tick."""
@@ -159,7 +155,7 @@ class SiteScore:
     def summary(self) -> dict[str, Any]:
         """What the JSON's `barrier` gains."""
         share = 1.0 / self.ticks if self.ticks else 0.0
-        floor = {"from_s": 0.0, "to_s": self._last_s, "edge": "floor", "raised_m": self.raised_m}
+        whole = [{"from_s": 0.0, "to_s": self._last_s, **bent} for bent in self.track.bent]
         return {
             "site": self.site.source,
             "exits": self.exits,
@@ -167,7 +163,7 @@ class SiteScore:
             "governor_share": self.governed * share,
             "stopped_share": self.stopped_share,
             "premises_broken": self.broken,
-            "bent": [floor, *self.bent] if self.raised_m else self.bent,
+            "bent": [*whole, *self.bent],
         }
 
 
@@ -183,11 +179,8 @@ class SitePlan:
     """How far the vehicle's estimate may be off."""
     prior: StoppingCertificate | None = None
     """What is kept to once the certificate was falsified; None: the certificate is the prior's."""
-    raised_m: float = 0.0
-    """By so much higher than asked for the scenario is flown: it lies lower than the vehicle can stop above the
-    floor."""
-    too_fast: float = 0.0
-    """From this share of the track there is no way to a stop, whatever the site: it turns faster than the vehicle."""
+    track: SiteTrack = AS_ASKED
+    """How the scenario is flown otherwise than asked for."""
 
     def filter(self, model: Model, limits: Limits) -> TimedSiteFilter:
         """The filter."""
@@ -198,7 +191,7 @@ class SitePlan:
     def score(self, timed: TimedSiteFilter) -> SiteScore:
         """A score; without a margin, but for the ground under the chutes."""
         flat = packed(self.site, self.chutes, self.chute_m)
-        return SiteScore(self.site, flat, timed, is_narrow=self.prior is not None, raised_m=self.raised_m)
+        return SiteScore(self.site, flat, timed, is_narrow=self.prior is not None, track=self.track)
 
     @property
     def outlines(self) -> str:
@@ -222,13 +215,10 @@ class SitePlan:
     def words(self) -> str:
         """One line."""
         made, prior = self.certificate, self.certificate.prior
-        raised = f", flown {self.raised_m:.2f} m higher to stop above the floor" if self.raised_m else ""
-        if self.too_fast:
-            raised += f"; {100.0 * self.too_fast:.0f} % of the track turn too fast for it to stop from: fly it slower"
         return (
             f"site {self.site.source}, stopping certificate (mass {prior.mass_low:g} to "
             f"{prior.mass_high:g}, {prior.force_g:g} g): {made.radius_m:.2f} m at rest, "
-            f"{made.stopping_way_m(3.0):.1f} m from 3 m/s{raised}"
+            f"{made.stopping_way_m(3.0):.1f} m from 3 m/s{self.track.words}"
         )
 
 
@@ -316,8 +306,8 @@ def plan_site(
         start = np.zeros((1, 2))
         _require_clear(site, packed(site, start, chute_m), np.zeros(3), (kept, 0.0), "the start")
         return SitePlan(site, certificate, start, chute_m, estimate, wider)
-    raised_m = _raised_m(scenario, site, low_m(certificate, estimate.vel_mps[2]))
-    mission = plan(raised(scenario, raised_m), np.zeros(3))
+    track = track_in(site, scenario, certificate, estimate)
+    mission = plan(track.of(scenario), np.zeros(3))
     landing = mission.reference(mission.track_end_s + 60.0).pos_ned_m
     chutes = np.array([[0.0, 0.0], landing[:2]])
     flat = packed(site, chutes, chute_m)
@@ -327,49 +317,7 @@ def plan_site(
         place = mission.reference(t_s).pos_ned_m
         _require_clear(site, flat, place, (kept, half), f"the way to the track, {t_s:.1f} s after take-off,")
     _require_clear(site, flat, landing, (kept, half), "the landing place")
-    return SitePlan(site, certificate, chutes, chute_m, estimate, wider, raised_m, _too_fast(scenario, certificate))
-
-
-def low_m(certificate: StoppingCertificate, vel_mps: float) -> float:
-    """How far above the floor nothing that a controller asks for is slid along it, where the estimate's vertical
-    velocity is off by `vel_mps`: the bound of `slide` for a push down."""
-    s = certificate.soft[certificate.row_of(1.0)]
-    lag_s = s[slide.SLOW_S] + vel_mps / s[slide.UP]
-    slid_m = (lag_s * _NOISE_MPS2 - vel_mps) / s[slide.GAMMA]
-    return float(s[slide.HALF] + s[slide.SLOW_S] * vel_mps + 0.5 * vel_mps**2 / s[slide.UP] + max(slid_m, 0.0))
-
-
-def _too_fast(scenario: Scenario, certificate: StoppingCertificate) -> float:
-    """The share of a track's points from which no way comes to rest in time and within the vehicle's lean."""
-    row, half = certificate.rows[certificate.row_of(1.0)], certificate.halves()[1]
-    points, way = np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
-    start, times_s, missing = np.zeros(backup.ROW), np.arange(0.0, scenario.duration_s, _JOINING_S), 0
-    for t_s in times_s.tolist():
-        start[: backup.ASKED_N] = scenario.trajectory.at(t_s).row[: backup.ASKED_N]
-        start[backup.ASKED_N : backup.SNAP_N] = start[JERK_N : JERK_E + 1]
-        missing += backup.roll(start, row, half, points, way) == 0
-    return missing / len(times_s)
-
-
-def _raised_m(scenario: Scenario, site: Site, room_m: float) -> float:
-    """By how much higher a track is to be flown so that it begins above the chute and keeps as far from the ceiling; in
-    the middle where there is no room for both.
-
-    In the chute the floor does not bind: a track that never left it would be flown with nothing kept clear below.
-    """
-    times_s = np.arange(0.0, scenario.duration_s, _JOINING_S)
-    track = np.stack([scenario.trajectory.at(t_s).pos_ned_m for t_s in times_s.tolist()])
-    if np.hypot(track[:, 0], track[:, 1]).max() <= _ACROSS_M:
-        return 0.0
-    above_m, below_m = site.floor_m + room_m + track[0, 2], site.ceiling_m - room_m + track[:, 2].min()
-    return float(max(above_m if above_m <= below_m else 0.5 * (above_m + below_m), 0.0))
-
-
-def raised(scenario: Scenario, by_m: float) -> Scenario:
-    """The same scenario, flown so much higher."""
-    climb_to_m = None if scenario.climb_to_m is None else scenario.climb_to_m + by_m
-    trajectory = scenario.trajectory.moved(np.array([0.0, 0.0, -by_m]))
-    return replace(scenario, trajectory=trajectory, climb_to_m=climb_to_m) if by_m else scenario
+    return SitePlan(site, certificate, chutes, chute_m, estimate, wider, track)
 
 
 def _wider(
@@ -393,4 +341,4 @@ def _require_clear(site: Site, flat: F64, place: F64, size: tuple[float, float],
         )
 
 
-__all__ = ["SitePlan", "SiteScore", "TimedSiteFilter", "envelope", "load_site", "plan_site", "raised"]
+__all__ = ["SitePlan", "SiteScore", "TimedSiteFilter", "envelope", "load_site", "plan_site"]
