@@ -28,7 +28,7 @@ over which a vehicle stands on the ground with nearly the thrust that lifts it."
 _GATHER_S = 2.0
 """To the climb's speed, and from it to rest."""
 _SETTLE_S = 1.5
-_RUN_UPS_S = (*(3.0 * 1.15**k for k in range(22)), *(3.0 / 1.15**k for k in range(1, 10)))
+RUN_UPS_S = (*(3.0 * 1.15**k for k in range(22)), *(3.0 / 1.15**k for k in range(1, 10)))
 """Durations tried in their order: 3 s, longer ones up to a minute for fast starts, shorter ones where one would have to
 come from below the ground."""
 LEAST_RISE = 0.5
@@ -140,7 +140,7 @@ class RunUp(NamedTuple):
 def run_up_of(scenario: Scenario) -> RunUp:
     """The run-up of a scenario; takes some 20 ms, too long for a tick."""
     first = scenario.trajectory.at(0.0)
-    return _run_up(_above(scenario, first), first, *_peaks(scenario))
+    return _run_up(_above(scenario, first), first, scenario.run_up_s, *_peaks(scenario))
 
 
 def plan(scenario: Scenario, start_pos_ned_m: F64, start_yaw_rad: float = 0.0, run_up: RunUp | None = None) -> Mission:
@@ -249,8 +249,8 @@ def _is_comfortable(path: Polynomial, start: FlatOutput, goal: FlatOutput) -> bo
     )
 
 
-def _run_up(above: F64, first: FlatOutput, speed_mps: float, acc_mps2: float) -> RunUp:
-    """From hovering at `above` (4,) to the trajectory's first state, no shorter than comfortable."""
+def _run_up(above: F64, first: FlatOutput, least_s: float, speed_mps: float, acc_mps2: float) -> RunUp:
+    """From hovering at `above` (4,) to the trajectory's first state, no shorter than comfortable or than `least_s`."""
     goal = np.append(first.pos_ned_m, first.yaw_rad)
     end = Boundary.of(first)
     moving = max(float(np.abs(part).max()) for part in (end.velocity, end.acceleration, end.jerk))
@@ -260,7 +260,7 @@ def _run_up(above: F64, first: FlatOutput, speed_mps: float, acc_mps2: float) ->
     acc_max = max(_ACC_MAX_MPS2, acc_mps2)
     lowest = max(-_LEAST_HEIGHT_M + 1e-6, first.pos_ned_m[2])
     shortest = None
-    for duration in _RUN_UPS_S:
+    for duration in (tried_s for tried_s in RUN_UPS_S if tried_s >= least_s):
         path = minimum_snap(np.stack([above, goal]), np.array([0.0, duration]), end=end)
         points = [path.at(t) for t in np.linspace(0.0, duration, 61)]
         if all(

@@ -94,6 +94,8 @@ class Scenario:
     """What is known of the true vehicle before take-off; None: nothing is claimed."""
     climb_to_m: float | None = None
     """Height above the start to climb to and settle at before the track; None: that of the trajectory's first point."""
+    run_up_s: float = 0.0
+    """The way to the track's beginning takes so long at least."""
     grade_changes: Mapping[str, object] = field(default_factory=dict)
     """Dotted keys of the sensors' grade and their values: what flies differs so from what is believed of it."""
     flight: Mapping[str, object] = field(default_factory=dict)
