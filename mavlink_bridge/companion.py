@@ -185,7 +185,7 @@ class Companion:
         now.fresh, now.catching_up = not lost, self._watch.pace.has_slept(now_us)
         if lost and now.state is State.OFFBOARD:
             self._commands.renew(now_us)
-        now.unfit, now.trouble = self._watch.judge()
+        (now.unfit, now.trouble), self.view.stood_us = self._watch.judge(), self._watch.stood_us
         if now.dead_man_lost and self.view.params.needs_dead_man:
             now.trouble = now.trouble or "dead-man-lost"
         if self.view.is_slower_than(ROUND_TRIP_MAX_S):

@@ -17,7 +17,7 @@ from mavlink_bridge.handshake import HandshakeEvent, State
 from mavlink_bridge.requests import CommandQueue
 from mavlink_bridge.stalls import RETAKE_LIMIT_US, Stalls
 from mavlink_bridge.vehicle_params import unsafe
-from mavlink_bridge.vehicle_view import VehicleView
+from mavlink_bridge.vehicle_view import VehicleView, what_is_lost
 
 SECOND_US = 1_000_000
 _ESTIMATOR_READY = 0x27
@@ -46,7 +46,7 @@ class CompanionConfig:
     ready_timeout_s: float = 30.0
     arm_timeout_s: float = 10.0
     link_loss_s: float = 3.0
-    """Heartbeats missing for so long: the link is lost (PX4 sends 1 Hz)."""
+    """Nothing heard for so long, or stamps that stand still: the link is lost (PX4 sends heartbeats at 1 Hz)."""
     blind_s: float = 0.5
     """The guard has flown for so much longer than not (no usable state, outside the envelope): hand back."""
     stream_before_offboard_s: float = 0.5
@@ -126,8 +126,8 @@ def decide(now: Situation, now_us: int) -> Decision | None:
         return None
     if now.stop_requested and state not in (State.LANDING, State.HOLDING):
         return Decision(HandshakeEvent.STOP, now.stop_requested)
-    if state is not State.DISCONNECTED and (lost := _link_lost(now, now_us)):
-        return Decision(HandshakeEvent.LINK_LOST, lost)
+    if state is not State.DISCONNECTED and (lost := what_is_lost(now.view, now_us, now.config.link_loss_s)):
+        return Decision(HandshakeEvent.LINK_LOST, f"{now.landing_for}; {lost}" if now.landing_for else lost)
     if state in (State.IDENTIFYING, State.STANDBY, State.STREAMING):
         if now.foreign_system:
             words = f"two autopilots on one link (systems {now.system} and {now.foreign_system}): refusing"
@@ -368,13 +368,6 @@ def _holding(now: Situation, now_us: int) -> Decision | None:
     if _in_state_s(now, now_us) > now.config.link_loss_s:
         return Decision(HandshakeEvent.TIMEOUT)
     return None
-
-
-def _link_lost(now: Situation, now_us: int) -> str:
-    """Why there is nothing left to fly with; empty where there is."""
-    silent_us = now_us - now.view.heard_at_us
-    is_lost = silent_us > now.config.link_loss_s * SECOND_US
-    return f"link lost: nothing heard for {silent_us / SECOND_US:.1f} s" if is_lost else ""
 
 
 def _in_state_s(now: Situation, now_us: int) -> float:

@@ -14,6 +14,7 @@ from typing import Any
 from flightstack.consistency import JUMP_M, VELOCITY_ERROR_MPS, EstimateWatch
 from flightstack.types import Tuple3
 from mavlink_bridge import messages as m
+from mavlink_bridge.aid_watch import AidWatch
 from mavlink_bridge.vehicle_clock import VehicleClock
 
 PERIOD_US = 4_000
@@ -37,6 +38,8 @@ RESET_MOST_M = VELOCITY_ERROR_MPS * _UNAIDED_S
 that one of the two positions is wrong, and not which."""
 _STEPS_KEPT = 16
 _BACK_US = 1_000_000
+_MOVED_US = 50_000
+"""Of stamps: a vehicle's clock that takes seconds for it stands still; the slowest simulator asked for needs one."""
 _FLAG_ATTITUDE = 0x01
 _FLAGS_STATE = 0x26
 """ESTIMATOR_STATUS.flags: horizontal and vertical velocity, height."""
@@ -164,9 +167,16 @@ class Watchdogs:
         self.estimate = EstimateWatch()
         self.resets = ResetWatch()
         self.pace = PaceWatch(round(1e6 * tick_s))
+        self.aid = AidWatch()
+        self._now_us = 0
+        """Local time of the latest tick."""
         self._clock = clock
         self._clock_jumps = 0
         self._newest_us = -1
+        self._moved = (0, -1)
+        """Local time and stamp when the stamps had last moved on."""
+        self.stood_us = 0
+        """For so long stamps have come and not moved on."""
         self._behind = False
         self._bad_flags = 0
         self._flags_trouble = ""
@@ -192,6 +202,7 @@ class Watchdogs:
 
     def step(self, now_us: int) -> None:
         """A tick at local time `now_us`."""
+        self._now_us = now_us
         self._pace_trouble = self.pace.step(now_us, self._clock.rate)
 
     def judge(self) -> tuple[str, str]:
@@ -206,7 +217,8 @@ class Watchdogs:
             if self._flying:
                 return unfit, jump
             unfit = jump if self._behind else unfit
-        return unfit, self._pace_trouble or self._flags_trouble or self.resets.trouble or contradiction
+        lost = "gps-lost" if self._flying and self.aid.is_lost(self._now_us) else ""
+        return unfit, self._pace_trouble or self._flags_trouble or self.resets.trouble or contradiction or lost
 
     @property
     def trouble(self) -> str:
@@ -220,6 +232,9 @@ class Watchdogs:
 
     def note_stamp(self, t_us: int) -> None:
         """The IMU's stamps go on; one far behind the newest comes from another boot, if the clock's line broke too."""
+        if abs(t_us - self._moved[1]) >= _MOVED_US:
+            self._moved = (self._now_us, t_us)
+        self.stood_us = self._now_us - self._moved[0]
         self._behind = t_us < self._newest_us - _BACK_US
         if not self._behind and t_us > self._newest_us:
             self._newest_us = t_us
@@ -245,6 +260,11 @@ class Watchdogs:
 
     def _status(self, message: m.EstimatorStatus) -> m.EstimatorStatus:
         self._flags(message.flags)
+        self.aid.estimator(message)
+        return message
+
+    def _gps(self, message: m.GpsRawInt) -> m.GpsRawInt:
+        self.aid.gps(message.fix_type, self._now_us)
         return message
 
     def _position(self, message: m.LocalPositionNed) -> m.LocalPositionNed:
@@ -274,6 +294,7 @@ _LOOKS: dict[type, Callable[[Watchdogs, Any], object]] = {
     m.LocalPositionNed: Watchdogs._position,
     m.Odometry: Watchdogs._odometry,
     m.EstimatorStatus: Watchdogs._status,
+    m.GpsRawInt: Watchdogs._gps,
 }
 
 

@@ -37,6 +37,10 @@ class FakePx4:
     tells_mode: bool = True
     """Whether it sends CURRENT_MODE."""
     flags: int = 1023
+    accuracy_m: float = 0.1
+    """Of the position across, as its estimator states it."""
+    fix: int | None = None
+    """GPS_RAW_INT's fix type, 8 times a second; None: no receiver, none is sent."""
     answers_version: bool = True
     arm_result: int = 0
     mode_result: int = 0
@@ -54,6 +58,8 @@ class FakePx4:
     """What becomes of attitude, position and IMU on their way; None: lost."""
     round_trip_us: int | None = None
     """It answers TIMESYNC as if asked so long before, half way there; None: it does not."""
+    clock_us: Callable[[int], int] = lambda now_us: now_us
+    """What its answers to TIMESYNC say of a time."""
     params: dict[str, float] = field(default_factory=lambda: dict(PARAMS))
     answers_params: bool = True
     lacks_param_error: bool = False
@@ -79,7 +85,9 @@ class FakePx4:
                 intended = self.mode if self.intended is None else self.intended
                 self.link.send(m.CurrentMode(0, self.mode, intended))
         if self._ticks % 50 == 0:
-            self.link.send(_estimator(now_us, self.flags))
+            self.link.send(_estimator(now_us, self.flags)._replace(pos_horiz_accuracy_m=self.accuracy_m))
+        if self.fix is not None and self._ticks % 31 == 0:
+            self.link.send(m.GpsRawInt(0, self.fix, 47.4, 8.5, 489.0, 0.7, 1.1, 0.0, 0.0, 10 if self.fix else 0))
         if self.streams:
             self._send_state(now_us)
         self._ticks += 1
@@ -115,7 +123,7 @@ class FakePx4:
                 self.link.send(m.ParamError(system, component, message.param_id, -1, 1))
         elif isinstance(message, m.Timesync) and self.round_trip_us is not None and not message.tc1_ns:
             half_us = self.round_trip_us // 2
-            self.link.send(m.Timesync(1000 * (self._now_us - half_us), message.ts1_ns - 2000 * half_us))
+            self.link.send(m.Timesync(1000 * (self.clock_us(self._now_us) - half_us), message.ts1_ns - 2000 * half_us))
         elif isinstance(message, m.CommandLong):
             self.commands.append(message)
             self.heard.append(message)

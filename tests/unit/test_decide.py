@@ -32,7 +32,7 @@ def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) 
     seen = SimpleNamespace(
         heartbeat=SimpleNamespace(autopilot=12, type=2), version=object(), armed=False, in_offboard=False,
         intends_offboard=False, would_return=False, mode_name="Position", estimator_flags=GOOD, landed_state=1,
-        intended_at_us=1, round_trip_us=55_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED,
+        intended_at_us=1, round_trip_us=55_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED, stood_us=0,
         custom_mode=px4.MODE_OFFBOARD, on_ground=False, params=SimpleNamespace(settled=True, values=SAFE, missing=()),
         recent_texts=lambda now_us, window_us: [],
     )  # fmt: skip
