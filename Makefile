@@ -88,7 +88,8 @@ fly: $(BIN)/.installed
 	$(BIN)/flightstack fly
 
 test: $(BIN)/.installed
-	@$(BIN)/python -m flightstack.cli.compiled flight jsbsim site >/dev/null 2>&1 & compiling=$$!; \
+	@{ $(BIN)/python -m flightstack.cli.compiled flight jsbsim site certify gap; \
+	  $(BIN)/python -m tests.compiled_ahead; } >/dev/null 2>&1 & compiling=$$!; \
 	  $(MAKE) --no-print-directory $(BIN)/.installed-dev && \
 	  $(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports; checked=$$?; \
 	  wait $$compiling; exit $$checked

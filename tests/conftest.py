@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it, and before numpy: sums in one order
 
 from flightstack.jit import Entry
+from tests.branches import in_a_child, is_branching
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
     # Begun in a shell's background: every process of a test would inherit that Ctrl-C is ignored.
@@ -43,6 +44,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     places = {tests / name: place for place, name in enumerate(LONGEST)}
     places[tests / IN_TWO_PROCESSES] = len(LONGEST) + 1
     items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """A test that branches off from a situation does so here."""
+    if not is_branching(pyfuncitem):
+        return None
+    names = pyfuncitem._fixtureinfo.argnames
+    in_a_child(lambda: pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names}))
+    return True
 
 
 @pytest.fixture(scope="session")

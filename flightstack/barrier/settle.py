@@ -25,7 +25,8 @@ from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.types import F64, Learned
 
 _SPEEDS_MPS = (1.2, 1.5, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0)
-_FAMILIES = ("quadratic", "stopping")
+FAMILIES = ("quadratic", "stopping")
+"""Of regions that are tried."""
 _ROUNDS = 10
 _EASE, _SPARE, _BETTER = 0.75, 1.01, 1.003
 
@@ -53,7 +54,7 @@ def settled(
             knowledge = piece
         assert knowledge is not None
         one, needs = asked.axis_of(axis, knowledge, learned)
-        for family in _FAMILIES:
+        for family in FAMILIES:
             found = designed(one._replace(safe=SafeSet(limit_m)), needs, family)
             area = 0.0 if found is None else worst_area(found)
             if found is not None and area > most:

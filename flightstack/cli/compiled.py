@@ -24,10 +24,10 @@ from flightstack.quick_compiling import locked, quick_compiling
 from flightstack.types import InputError
 from mavlink_bridge.transport.machine import stand_back
 
-SIMULATOR, JSBSIM, FLIGHT, SITE = "simulator", "jsbsim", "flight", "site"
-PARTS = (SIMULATOR, JSBSIM, FLIGHT, SITE)
+SIMULATOR, JSBSIM, FLIGHT, SITE, CERTIFY, GAP = "simulator", "jsbsim", "flight", "site", "certify", "gap"
+PARTS = (SIMULATOR, JSBSIM, FLIGHT, SITE, CERTIFY, GAP)
 """The simulated vehicle on the native plant; on JSBSim; the one on the native plant and the companion; what `--site`
-and the shield need beside those."""
+and the shield need beside those; what an exploration does; what `gap` simulates with."""
 _UNFILTERED = "unfiltered"
 """What a companion without certifier and filter calls: half of a flight's part."""
 _SCENARIOS = ("paper-tracking", "minimum-snap")
@@ -101,8 +101,9 @@ def _tell_progress() -> None:
 
 def compile_part(part: str) -> None:
     """Compile everything that a part calls, in this process."""
-    if part == SITE:
-        _compile_site()
+    alone = {SITE: _compile_site, CERTIFY: _compile_certify, GAP: _compile_gap}
+    if part in alone:
+        alone[part]()
         return
     if part in (FLIGHT, _UNFILTERED):
         from flightstack.cli.flight import FlyOptions, prepare, warm_up_all
@@ -136,10 +137,52 @@ def _compile_site() -> None:
         warm_up_all(prepare(FlyOptions(scenario=_SCENARIOS[0], site=field)))
 
 
+def _compile_certify() -> None:
+    """Targets and legs of an exploration, and the design that settles it, on an axis with room to spare."""
+    import numpy as np
+
+    from flightstack.barrier.condition import Setting
+    from flightstack.barrier.design import SafeSet, largest, worst_slice_area
+    from flightstack.barrier.records import Authority, AxisCertificate, Response
+    from flightstack.barrier.settle import FAMILIES
+    from flightstack.barrier.shapes import Quadratic
+    from flightstack.explore import Explorer
+    from flightstack.targets import TargetSearch, limits, reachable, transit
+    from flightstack.trajectory import hover
+
+    speeds, one = np.linspace(-3.0, 3.0, 31), np.ones(31)
+    authority = Authority(speeds, 9.81 * one, 0.7 * one, -2.6 * one, 9.0 * one, 0.2 * one, 0.2 * one)
+    barrier, response = Quadratic(0.0, 0.0, 4.0, 0.5, 1.5), Response(0.05, 0.0, 0.02)
+    cell = np.array([[-0.1, 0.1, -0.2, 0.2, 0.0, 0.5]])
+    axis = AxisCertificate(2, barrier, Setting(4.0, 0.01, 0.05, 0.008), response, authority, (), cell)
+    explorer, search = Explorer(), TargetSearch()
+    explorer.step(explorer.init(0.0, np.zeros(3)), 0.0, None, hover((0.0, 0.0, 0.0)).at(0.0))
+    reachable(axis, limits(axis, search)[0], search)
+    transit(axis, 0.0, 0.1, search)
+    for family in FAMILIES:
+        largest(SafeSet(0.5), axis.setting, authority, response, family=family)
+    worst_slice_area(barrier, response, -2.0, 2.0, 0.0)
+
+
+def _compile_gap() -> None:
+    """Simulated windows of a flight: none of them."""
+    import numpy as np
+
+    from flightstack.effects import PARAMS
+    from flightstack.effects.row import S_LOAD_DIR, S_RING
+    from flightstack.gap.evaluated import run_windows
+
+    nothing = np.zeros(0, dtype=np.int64)
+    run_windows(
+        np.zeros((0, S_RING)), np.zeros((0, PARAMS)), nothing, nothing, np.zeros((1, 1, 4)), np.zeros((1, 1)),
+        np.zeros((0, 1, S_LOAD_DIR)), np.zeros((0, 1, 3)),
+    )  # fmt: skip
+
+
 def main(parts: list[str]) -> None:
     """Compile these parts (none: all that a flight calls), then leave a mark in the cache for each."""
     stand_back()  # two processes that compile in real time leave nobody a processor for a minute
-    strict = not set(parts or [FLIGHT]) & {FLIGHT, _UNFILTERED, SITE}  # the simulator takes every sum in its order
+    strict = not set(parts or [FLIGHT]) & {FLIGHT, _UNFILTERED, SITE, CERTIFY}  # these take every sum in its order
     for part in parts or [FLIGHT]:
         if part == _UNFILTERED:
             _end_with(sys.stdin)

@@ -118,7 +118,9 @@ def _run(options: SimOptions, interrupts: Interrupts, px4_hil: bool, json: Path 
 def warmup(
     parts: Annotated[
         list[str] | None,
-        typer.Argument(help="What to compile: simulator, jsbsim, flight, site (default: all).", metavar="PART"),
+        typer.Argument(
+            help="What to compile: simulator, jsbsim, flight, site, certify, gap (default: all).", metavar="PART"
+        ),
     ] = None,
     json: JsonOption = None,
 ) -> None:

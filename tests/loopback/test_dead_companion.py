@@ -7,7 +7,8 @@ worst.  Without the dead-man the same kills, at PX4's default parameters, tilt b
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from statistics import median
 
@@ -19,25 +20,32 @@ from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
-from tests.thorough import THOROUGH, thorough
+from tests.branches import branching, in_a_child
+from tests.thorough import thorough
 
 TILT_MAX_DEG, LOST_MEDIAN_M, LOST_MAX_M = 35.0, 0.5, 0.8
 LAP_S = 8.0
 _DRAWN = random.Random(3)
-MOMENTS_S = [_DRAWN.uniform(0.0, LAP_S) for _ in range(6)][: 6 if THOROUGH else 3]
+MOMENTS_S = [_DRAWN.uniform(0.0, LAP_S) for _ in range(6)]
 STALLS_S = [_DRAWN.uniform(0.1, 3.0) for _ in range(3)]
 
 
-@pytest.fixture
-def flight(tmp_path: Path) -> Iterator[GuardedFlight]:
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedFlight]:
     """A figure of eight 3 s into its track, COM_OF_LOSS_T 1 s."""
-    guarded = GuardedFlight(tmp_path, "figure8", 14.0)
+    guarded = GuardedFlight(tmp_path_factory.mktemp("begun"), "figure8", 14.0)
     try:
         guarded.begin(3.0)
         assert guarded.flight.vehicle.params.get("COM_OF_LOSS_T") == 1.0
         yield guarded
     finally:
         guarded.close()
+
+
+@pytest.fixture
+def flight(begun: GuardedFlight, request: pytest.FixtureRequest) -> GuardedFlight:
+    branching(request)
+    return begun
 
 
 def _pilot(flight: GuardedFlight, command: int, *params: float) -> None:
@@ -48,49 +56,62 @@ def _pilot(flight: GuardedFlight, command: int, *params: float) -> None:
         flight.flight.shell.server.receive(ONBOARD, data)
 
 
+def _at_moments(flight: GuardedFlight, acts: dict[float, Callable[[], float]]) -> list[float]:
+    """What each act says that branches off from the flight so long after its track's beginning, in their order."""
+    flight.begin(0.0)
+    began_us, said = flight.flight.t_us, []
+    for moment_s in sorted(acts):
+        while flight.flight.t_us < began_us + 1e6 * moment_s:
+            flight.step()
+        said.append(float(in_a_child(acts[moment_s])))
+    flight.close()
+    return said
+
+
 def test_kills_at_random_moments_of_a_figure_8_are_harmless(tmp_path: Path) -> None:
-    lost = []
-    for moment_s in MOMENTS_S:
-        flight = GuardedFlight(tmp_path, "figure8")
-        flight.begin(moment_s)
+    flight = GuardedFlight(tmp_path, "figure8")
+
+    def killed() -> float:
         killed_us = flight.flight.t_us
         flight.stand_still(3.0)
         after = flight.since(killed_us)
-        flight.close()
         assert flight.mode == "Hold"
         assert impact_mps(after) == 0.0
         assert not any(truth.on_ground for truth in after)
         assert max(truth.tilt_deg for truth in after) <= TILT_MAX_DEG
-        lost.append(height_lost_m(after))
+        return height_lost_m(after)
+
+    lost = _at_moments(flight, dict.fromkeys(MOMENTS_S, killed))
     assert max(lost) <= LOST_MAX_M
     assert median(lost) <= LOST_MEDIAN_M
 
 
 def test_without_the_dead_man_the_same_kills_tip_the_vehicle_over(tmp_path: Path) -> None:
-    worst = 0.0
-    for moment_s in MOMENTS_S[:2]:
-        flight = GuardedFlight(tmp_path, "figure8", dead_man=False)
-        flight.begin(moment_s)
+    flight = GuardedFlight(tmp_path, "figure8", dead_man=False)
+
+    def killed() -> float:
         killed_us = flight.flight.t_us
         flight.stand_still(1.5)
-        worst = max(worst, *(truth.tilt_deg for truth in flight.since(killed_us)))
-        flight.close()
-    assert worst > 45.0
+        return max(truth.tilt_deg for truth in flight.since(killed_us))
+
+    assert max(_at_moments(flight, dict.fromkeys(MOMENTS_S[:2], killed))) > 45.0
 
 
-@pytest.mark.parametrize("stall_s", STALLS_S)
-def test_stalls_at_random_moments_of_a_figure_8_are_harmless(tmp_path: Path, stall_s: float) -> None:
+def test_stalls_at_random_moments_of_a_figure_8_are_harmless(tmp_path: Path) -> None:
     flight = GuardedFlight(tmp_path, "figure8")
-    flight.begin(random.Random(stall_s).uniform(0.0, LAP_S))
-    stopped_us = flight.flight.t_us
-    flight.stand_still(stall_s)
-    for _ in range(500):
-        flight.step()
-    after = flight.since(stopped_us)
-    flight.close()
-    assert not any(truth.on_ground for truth in after)
-    assert max(truth.tilt_deg for truth in after) <= TILT_MAX_DEG
-    assert height_lost_m(after) <= LOST_MAX_M
+
+    def stalled(stall_s: float) -> float:
+        stopped_us = flight.flight.t_us
+        flight.stand_still(stall_s)
+        for _ in range(500):
+            flight.step()
+        after = flight.since(stopped_us)
+        assert not any(truth.on_ground for truth in after)
+        assert max(truth.tilt_deg for truth in after) <= TILT_MAX_DEG
+        return height_lost_m(after)
+
+    moments = {random.Random(stall_s).uniform(0.0, LAP_S): partial(stalled, stall_s) for stall_s in STALLS_S}
+    assert max(_at_moments(flight, moments)) <= LOST_MAX_M
 
 
 @pytest.mark.parametrize("stall_s", [thorough(0.06), thorough(0.2), 0.45])

@@ -12,11 +12,12 @@ from axis_certificates import axis_of, certificate_of
 from scipy.integrate import cumulative_simpson
 from scipy.optimize import brentq, minimize_scalar
 
-from flightstack import arcs
+from flightstack import arcs, targets
 from flightstack.barrier.condition import coefficients, margin_at
 from flightstack.barrier.design import at_speed
-from flightstack.barrier.records import AxisCertificate
+from flightstack.barrier.records import AxisCertificate, reach_between
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, gradient, value
+from flightstack.cli.compiled import CERTIFY, compile_part
 from flightstack.explore import FALSIFIED, ExploreConfig, Explorer, ExploreState
 from flightstack.targets import TargetSearch, boundary, limits, reachable, transit
 from flightstack.trajectory import Polynomial
@@ -294,6 +295,16 @@ def test_another_axis_is_flown_from_where_the_vehicle_rests() -> None:
     _, second = explorer.step(state, state.next_s, certificate, rest)
     assert second is not None
     np.testing.assert_allclose(second.at(0.0).row, rest.row, atol=1e-9)
+
+
+def test_what_an_exploration_calls_is_compiled_ahead() -> None:
+    """`warmup certify`; it was 27 s in the middle of the flight."""
+    compile_part(CERTIFY)
+    called = (arcs.fly_through, arcs.from_rest, arcs.at, targets._first, targets.admissible, reach_between)
+    ahead = [list(function.signatures) for function in called]
+    assert all(ahead)
+    assert _fly(Explorer(), [0.9, 0.95], 0.2)[1] == 2
+    assert [list(function.signatures) for function in called] == ahead
 
 
 def test_a_falsified_bound_ends_it_at_once() -> None:

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flightstack.cli.compiled import GAP, compile_part
 from flightstack.gap.compare import expected_noise, figures, noise_floor, residual, rollout_starts, sensor_noise
+from flightstack.gap.evaluated import run_windows
 from flightstack.gap.fusion import crossovers
 from flightstack.gap.records import Samples
 from flightstack.gap.rollouts import rollout, rollouts
@@ -98,7 +100,10 @@ def test_a_rollout_is_the_plant_s_own_flight(exact: Samples) -> None:
 
 def test_many_at_once_are_the_same_as_one_by_one(exact: Samples) -> None:
     lagging = hidden(quad(), {"motor_lag": {"time_constant_s": 0.04}, "transport_delay": {"delay_s": 0.013}})
+    compile_part(GAP)
+    ahead = list(run_windows.signatures)
     batch = rollouts([(quad(), 0.0), (lagging, 0.002)], exact, [200, 500, 900], 0.4)
+    assert run_windows.signatures == ahead != []  # `warmup gap` had compiled it
     alone = rollouts([(lagging, 0.002)], exact, [500], 0.4)[0]
     assert np.array_equal(batch[1].pos_ned_m[1], alone.pos_ned_m[0])
     assert np.array_equal(batch[1].force_frd_mps2[1], alone.force_frd_mps2[0])

@@ -13,6 +13,7 @@ from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.link import Link
 from mavlink_bridge.requests import set_mode
+from tests.branches import branching
 from tests.thorough import thorough
 
 INF = float("inf")
@@ -26,12 +27,19 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def rig(site: Path) -> Rig:
+@pytest.fixture(scope="module")
+def risen(site: Path) -> Rig:
     made = Rig(site)
     made.take_off()
     made.places.clear()
     return made
+
+
+@pytest.fixture
+def rig(risen: Rig, request: pytest.FixtureRequest) -> Rig:
+    """Hovering; every test branches off from there."""
+    branching(request)
+    return risen
 
 
 def select(rig: Rig, mode: int) -> None:

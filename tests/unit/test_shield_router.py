@@ -32,6 +32,7 @@ from mavlink_bridge.link import Link
 from mavlink_bridge.messages import BY_ID
 from mavlink_bridge.requests import set_mode
 from mavlink_bridge.voice import Voice
+from tests.branches import branching
 from tests.thorough import ONLY_THEN
 
 
@@ -48,13 +49,20 @@ def router(site: Path) -> ShieldRouter:
     return ShieldRouter(*shield_stack(ShieldOptions(connect="udpin::1", serve="udpin::2", site=site), None))
 
 
-@pytest.fixture
-def rig(site: Path) -> Rig:
+@pytest.fixture(scope="module")
+def risen(site: Path) -> Rig:
     made = Rig(site)
     made.take_off()
     assert -made.places[-1][2] == pytest.approx(2.0, abs=0.15)
     made.places.clear()
     return made
+
+
+@pytest.fixture
+def rig(risen: Rig, request: pytest.FixtureRequest) -> Rig:
+    """Hovering; every test branches off from there."""
+    branching(request)
+    return risen
 
 
 def test_nothing_that_is_asked_for_leads_out(rig: Rig) -> None:
@@ -291,10 +299,12 @@ def _room(north_m: float = 5.0, east_m: float = 4.0, ceiling_m: float = 5.0) -> 
 
 
 def test_a_site_that_is_replaced_in_flight_is_kept_from_then_on_or_refused(
-    rig: Rig, record_property: Callable[[str, object], None]
+    site: Path, record_property: Callable[[str, object], None]
 ) -> None:
     """Walls and a ceiling are put before a vehicle that goes on as fast as it may: taken, none is passed; refused, the
     old one holds."""
+    rig = Rig(site)
+    rig.take_off()
     rng, room, refused = np.random.default_rng(6), np.array([5.0, 4.0, 5.0]), 0
     taken: list[float] = []
     for _ in range(REPLACED):
