@@ -78,19 +78,26 @@ def _at_arming(*commands: tuple[float, ...], number: int = 0) -> Callable[[Scene
     return deed
 
 
-def shell(*words: str, watched_s: float = 10.0) -> Callable[[Scene], None]:
-    """A command of PX4's own shell; `PX4_SHELL` names the folder of its programs."""
+def shell(*words: str, then: tuple[str, ...] = (), watched_s: float = 10.0) -> Callable[[Scene], None]:
+    """A command of PX4's own shell, half a second later another; `PX4_SHELL` names the folder of its programs."""
 
     def deed(scene: Scene) -> None:
         scene.begin()
         scene.began_s = time.monotonic()
         folder = os.environ["PX4_SHELL"]
-        filled = [word.format(port=14580 + scene.px4.instance) for word in words[1:]]
-        program = [f"{folder}/px4-{words[0]}", "--instance", str(scene.px4.instance), *filled]
-        scene.others.append(subprocess.Popen(program))  # PX4 may never answer
+        for program, *options in filter(None, (words, then)):
+            filled = [word.format(port=14580 + scene.px4.instance) for word in options]
+            line = [f"{folder}/px4-{program}", "--instance", str(scene.px4.instance), *filled]
+            scene.others.append(subprocess.Popen(line))  # PX4 may never answer
+            time.sleep(0.5)
         scene.wait(lambda: scene.ended, watched_s)
 
     return deed
+
+
+def _undisturbed(scene: Scene) -> None:
+    scene.begin()
+    scene.began_s = time.monotonic()
 
 
 def _rival_positions(scene: Scene) -> None:
@@ -261,6 +268,10 @@ ATTACKS: dict[str, Attack] = {
         shell("mavlink", "stream", "-u", "{port}", "-s", "ESTIMATOR_STATUS", "-r", "0", watched_s=60.0), codes=(0, 1)
     ),
     "the estimator stopped": Attack(shell("ekf2", "stop"), codes=(1,), soft=False),
+    "the estimator stopped and started": Attack(
+        shell("ekf2", "stop", then=("ekf2", "start")), codes=(1,), soft=False
+    ),
+    "never disarms": Attack(_undisturbed, codes=(1,), params=(("COM_DISARM_LAND", -1.0),)),
     "a full disk": Attack(_full_disk, codes=(0, 1)),
     "COM_OBL_RC_ACT 7 (disarm) set, then killed": Attack(_killed_with("COM_OBL_RC_ACT", 7.0), codes=(-9,)),
     "COM_OF_LOSS_T 0.1 set, then killed": Attack(_killed_with("COM_OF_LOSS_T", 0.1), codes=(-9,)),

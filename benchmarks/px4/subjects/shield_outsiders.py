@@ -30,7 +30,7 @@ floor_m = 0.3
 ceiling_m = 20.0
 inside = [[-30.0, -20.0], [{north}, -20.0], [{north}, 20.0], [-30.0, 20.0]]
 """
-_NORTH_M, _NEAR_M = 30.0, 13.0
+_NORTH_M, NEAR_M = 30.0, 13.0
 """The program turns 15 m north: with the near wall it never gets there."""
 _PORT = 14640
 _PROGRAM = Path(__file__).parents[3] / "tests" / "client" / "shielded_program.py"
@@ -202,7 +202,8 @@ def _sticks(b: Behind) -> None:
     b.expect(_POSITION, after_s=0.0)
 
 
-def _wall(b: Behind) -> None:
+def wall(b: Behind) -> None:
+    """Race towards a wall for a while."""
     b.begin()
     b.notes.clear()  # before a wall it need not get fast
     time.sleep(20.0)
@@ -291,7 +292,7 @@ DEEDS = {
     "Return": Deed(_pilot(RETURN, back=False), returns=True),
     "Position by sticks": Deed(_sticks),
     "landed, and flown again": Deed(_lands_and_flies_again),
-    "a wall before the program's turn": Deed(_wall, north_m=_NEAR_M),
+    "a wall before the program's turn": Deed(wall, north_m=NEAR_M),
     "shield killed, another one in flight": Deed(_shield_killed, "armed before the shield heard it"),
     "shield stopped for 0.1, 0.3, 0.45 and 2 s": Deed(_shield_stopped),
     "its dead-man killed": Deed(_dead_man, "the dead-man's process has ended"),

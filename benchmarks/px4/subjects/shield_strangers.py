@@ -14,7 +14,7 @@ from benchmarks.px4.records import Bench, Row
 from benchmarks.px4.relay import Manner, Relay
 from benchmarks.px4.scene import OFFBOARD
 from benchmarks.px4.station import OFFBOARD_PORT
-from benchmarks.px4.subjects.shield_outsiders import Behind, Deed, flown
+from benchmarks.px4.subjects.shield_outsiders import NEAR_M, Behind, Deed, flown, wall
 
 ASKED = (
     "Around the shield (SIH_MASS 0.7, PX4 else at default parameters), as under shield_outsiders: the site is never "
@@ -24,6 +24,8 @@ ASKED = (
 RUNS = 1
 _CLIENT = Path(__file__).parents[3] / "tests" / "client"
 _ONCE, _SLOW = _CLIENT / "program_once.py", _CLIENT / "program_slow_streams.py"
+_ALL_KINDS = _CLIENT / "program_all_kinds.py"
+_LATE = Manner(up_s=0.015, down_s=0.015)
 _OFFBOARD = float(OFFBOARD), 0.0
 _LIMIT_S = 60.0
 
@@ -111,15 +113,28 @@ def _sticks_lost(b: Behind) -> None:
     b.expect(HOLD, (4.0, 5.0), (3.0, 0.0), after_s=9.0)
 
 
-def _relayed(manner: Manner) -> Callable[[Behind], None]:
+def _relayed(manner: Manner, whole: Callable[[Behind], None] | None = None) -> Callable[[Behind], None]:
     def deed(b: Behind) -> None:
         with Relay(OFFBOARD_PORT + b.px4.instance, manner) as relay:
             b.address = f"udpin:127.0.0.1:{relay.port}"
-            b.begin()
-            time.sleep(15.0)
+            if whole is None:
+                b.begin()
+                time.sleep(15.0)
+            else:
+                whole(b)
             b.close()
 
     return deed
+
+
+def _all_kinds(b: Behind) -> None:
+    """Places, velocities, attitudes, body rates; what the program says of them goes into the notes that are printed."""
+    b.shield()
+    b.program(program=_ALL_KINDS)
+    said = b.folder / "program0.txt"
+    if not b.px4.wait(lambda: "done" in said.read_text(), 2.0 * _LIMIT_S + 40.0):
+        b.notes.append("not done with every kind")
+    print(" | ".join(said.read_text().splitlines()), flush=True)
 
 
 def _slow_streams(b: Behind) -> None:
@@ -167,6 +182,9 @@ DEEDS = {
     "stopped for 0.2 s twice as the motors turn": Deed(_stalls_while_arming((0.0, 0.2), (0.6, 0.2))),
     "5 % lost, 5 % doubled, shuffled over 8 ms": Deed(_relayed(Manner(lost=0.05, doubled=0.05, jitter_s=0.008))),
     "20 ms more each way": Deed(_relayed(Manner(up_s=0.02, down_s=0.02))),
+    "places, velocities, attitudes, body rates": Deed(_all_kinds),
+    "places, velocities, attitudes, body rates, 15 ms more each way": Deed(_relayed(_LATE, _all_kinds)),
+    "towards a wall, 15 ms more each way": Deed(_relayed(_LATE, wall), north_m=NEAR_M),
     "rate gains three times as high": Deed(_station(*_RATES), "MC_ROLLRATE_P is 0.45 now"),
     "THR_MDL_FAC 0.5 in flight": Deed(_station(_sets("THR_MDL_FAC", 0.5)), "THR_MDL_FAC is 0.5 now"),
     "a ground station sends places outside": Deed(_station(_places)),
