@@ -42,6 +42,7 @@ from flightstack_sim.autopilot.offboard import from_attitude_target, from_global
 from flightstack_sim.autopilot.setpoint import ControlSetpoint
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
+from mavlink_bridge.aid_watch import AidWatch
 from mavlink_bridge.dead_man_frames import ACTIVE, IN_OFFBOARD, CompanionRecord, DeadManRecord
 from mavlink_bridge.framing import Frame
 from mavlink_bridge.last_word import record_of
@@ -119,8 +120,9 @@ class ShieldRouter:
         self.after_stall = AfterStall(self.view, self._commands)
         self.has_spoken = False
         """Whether a setpoint went out in the newest step."""
-        self._is_alone = False
-        """There is no dead-man any more."""
+        self._is_alone = self.is_lost = False
+        """There is no dead-man any more; the estimate has lost its satellites, so that nobody is obeyed."""
+        self._aid = AidWatch()
         self.ended = ""
         """Why nothing is flown any more; empty while all is well."""
         self._newest_us = self._back = 0
@@ -154,18 +156,22 @@ class ShieldRouter:
                     self.after_stall.acknowledge(message, now_us)
                 elif not isinstance(message, m.Timesync) or message.ts1_ns in self._stamps:
                     self.view.update(message, now_us)
-                    self._place(message)
+                    self._place(message, now_us)
                     self._note_boot(message)
         return without(data, self._is_own_answer, whole=False) if has_own else [data]  # each frame twice takes time
 
-    def _place(self, message: object) -> None:
-        """Where local frame and home lie on the globe; and the gains."""
+    def _place(self, message: object, now_us: int) -> None:
+        """Where local frame and home lie on the globe; the gains; and what the estimate goes by."""
         if isinstance(message, m.GpsGlobalOrigin):
             self._globe = LocalFrame(message.lat_deg, message.lon_deg, message.alt_msl_m)
         elif isinstance(message, m.HomePosition):
             self._home_m = message.alt_msl_m
         elif isinstance(message, m.ParamValue):
             self.premises.take(message)
+        elif isinstance(message, m.GpsRawInt):
+            self._aid.gps(message.fix_type, now_us)
+        elif isinstance(message, m.EstimatorStatus):
+            self._aid.estimator(message)
 
     def _note_boot(self, message: object) -> None:
         """Whether the vehicle's clock began anew."""
@@ -271,7 +277,7 @@ class ShieldRouter:
             speaks, blind = now_us - self._wish_us <= SILENT_US, self._is_blind(self.view.clock.vehicle_us(now_us))
             self.after_stall.step(now_us, speaks=speaks, is_blind=blind, height_m=self._height_m)
             self._fly(now_us)
-            if self._is_alone and self.view.params.needs_dead_man:
+            if self.is_lost or (self._is_alone and self.view.params.needs_dead_man):
                 self.hand_over(now_us)
             self._commands.step(now_us, self.system)
         return self.link.datagrams_to_send()
@@ -305,7 +311,8 @@ class ShieldRouter:
         self._is_laid |= self.view.armed
         if self.origin_ned_m is None:
             return
-        silent = self._wish is None or now_us - self._wish_us > SILENT_US
+        self.is_lost = self._aid.is_lost(now_us)
+        silent = self._wish is None or now_us - self._wish_us > SILENT_US or self.is_lost
         if not (self.view.armed and self.view.in_offboard) or (silent and grounded):
             self.score.handed_over |= self._asks_hold and self.view.custom_mode == px4.MODE_HOLD
             self._state, self._flies = self._state if self.view.armed else None, False

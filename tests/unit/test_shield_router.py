@@ -288,6 +288,33 @@ def test_without_its_dead_man_the_router_hands_over(rig: Rig) -> None:
     assert rig.router.score.handed_over
 
 
+@pytest.mark.parametrize(("worse", "obeyed"), [(1.0, True), (1.6, False)])
+def test_where_satellites_are_lost_and_the_estimate_is_the_worse_the_program_is_not_obeyed(
+    rig: Rig, worse: float, obeyed: bool
+) -> None:
+    """A site means nothing by an estimate that runs away; beside motion capture nobody misses satellites."""
+    for kind in (m.GpsRawInt, m.EstimatorStatus):  # the vehicle's own end, others are told in their place
+        rig.command(px4.Cmd.SET_MESSAGE_INTERVAL, float(m.id_of(kind)), -1.0)
+    told, fix, accuracy_m = Link(1, 1), 3, 0.29
+
+    def say() -> m.SetPositionTargetLocalNed:
+        told.send(m.GpsRawInt(0, fix, 47.4, 8.5, 489.0, 0.7, 1.1, 0.0, 0.0, 10))
+        told.send(m.EstimatorStatus(0, 1023, 0.1, 0.1, 0.1, 0.1, 0.1, NAN, accuracy_m, 0.2))
+        for data in told.datagrams_to_send():
+            rig.router.from_vehicle(data, rig.now_us)
+        return velocity(1.0, 0.0, 0.0)
+
+    rig.say = say
+    rig.run(1.0)
+    fix, accuracy_m = 0, 0.29 * worse
+    rig.run(0.4)
+    assert rig.router.view.in_offboard
+    rig.run(0.4)
+    assert rig.router.view.in_offboard is obeyed
+    assert obeyed or rig.router.view.custom_mode == px4.MODE_HOLD
+    assert rig.router.score.handed_over is not obeyed
+
+
 REPLACED = int(os.environ.get("FLIGHTSTACK_REPLACED", "12"))
 """How often; docs/site.md tells of a hundred."""
 

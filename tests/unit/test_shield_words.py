@@ -20,7 +20,8 @@ def said(*seen: tuple[float, bool, bool, float]) -> list[tuple[float, str]]:
         while now_s < until_s:
             now_s += 0.01
             router: Any = SimpleNamespace(
-                system=1, origin_ned_m=np.zeros(3) if placed else None, after_stall=SimpleNamespace(look=list),
+                system=1, is_lost=False, flies=True, origin_ned_m=np.zeros(3) if placed else None,
+                after_stall=SimpleNamespace(look=list),
                 view=SimpleNamespace(armed=armed, heard_at_us=round((now_s - before_s) * SECOND_US)),
             )  # fmt: skip
             lines += [(now_s, line) for line in words.look(router, round(now_s * SECOND_US))]
@@ -50,3 +51,15 @@ def test_a_vehicle_that_is_not_heard_any_more_is_told_once_and_so_is_its_return(
 def test_before_a_vehicle_is_known_nothing_is_said() -> None:
     router: Any = SimpleNamespace(system=0)
     assert ShieldWords().look(router, 60 * SECOND_US) == []
+
+
+def test_satellites_that_are_lost_in_flight_are_told_once_each_time() -> None:
+    words, lines = ShieldWords(), []
+    quiet = {"system": 1, "origin_ned_m": np.zeros(3), "after_stall": SimpleNamespace(look=list),
+             "view": SimpleNamespace(armed=True, heard_at_us=0)}  # fmt: skip
+    for lost, flies in ((False, True), (True, False), (True, True), (True, True), (True, False), (True, True),
+                        (False, True), (True, True)):  # fmt: skip
+        router: Any = SimpleNamespace(is_lost=lost, flies=flies, **quiet)
+        lines.append(words.look(router, 0))
+    assert [bool(each) for each in lines] == [False, False, True, False, False, False, False, True]
+    assert "the satellites are lost" in lines[2][0]

@@ -155,6 +155,14 @@ def _second_shield(b: Behind) -> None:
     b.expect(_OFFBOARD, after_s=1.0)
 
 
+def _no_satellites(b: Behind) -> None:
+    b.begin()
+    b.px4.set_param("SIM_GPS_USED", 0.0)
+    time.sleep(3.0)
+    b.px4.set_param("SIM_GPS_USED", 10.0)
+    b.expect(HOLD, after_s=6.0)
+
+
 def _lists(b: Behind) -> None:
     """Parameters listed again and again, as a ground station that connects anew."""
     for _ in range(10):
@@ -185,6 +193,7 @@ DEEDS = {
     "places, velocities, attitudes, body rates": Deed(_all_kinds),
     "places, velocities, attitudes, body rates, 15 ms more each way": Deed(_relayed(_LATE, _all_kinds)),
     "towards a wall, 15 ms more each way": Deed(_relayed(_LATE, wall), north_m=NEAR_M),
+    "no satellites for 3 s": Deed(_no_satellites, "the satellites are lost"),
     "rate gains three times as high": Deed(_station(*_RATES), "MC_ROLLRATE_P is 0.45 now"),
     "THR_MDL_FAC 0.5 in flight": Deed(_station(_sets("THR_MDL_FAC", 0.5)), "THR_MDL_FAC is 0.5 now"),
     "a ground station sends places outside": Deed(_station(_places)),
