@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks import gap_flights
 from benchmarks.oracle import Oracle
 from flightstack.cli.controllers import CONTROLLERS
 from flightstack.cli.flight import FlyOptions, prepare
@@ -70,7 +71,14 @@ def small_ones() -> None:
         _ = bias.bias_frd_mps2
 
 
+def drawn_flights() -> None:
+    """The loop that flies the gap workflow's drawn cases."""
+    gap_flights._fly.compile(
+        "(f8[::1], f8[::1], f8[::1], i8, f8[:,::1], f8[::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])"
+    )
+
+
 if __name__ == "__main__":
     with quick_compiling():
-        for work in (batches, small_ones, processes):
+        for work in (batches, drawn_flights, small_ones, processes):
             work()

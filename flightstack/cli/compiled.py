@@ -17,7 +17,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO
+from typing import IO, Any
 
 from flightstack.jit import cache_folder, machine_key, sources_key
 from flightstack.quick_compiling import locked, quick_compiling
@@ -165,24 +165,34 @@ def _compile_certify() -> None:
 
 
 def _compile_gap() -> None:
-    """Simulated windows of a flight: none of them."""
-    import numpy as np
+    """What prepares, simulates and judges a flight, for the kinds of arrays that it is called with."""
+    from numba.core import types
 
-    from flightstack.effects import PARAMS
-    from flightstack.effects.row import S_LOAD_DIR, S_RING
-    from flightstack.gap.evaluated import run_windows
+    from flightstack.gap import evaluated, filters, rotor_state
+    from flightstack.gap.naming.whitening import whiten
 
-    nothing = np.zeros(0, dtype=np.int64)
-    run_windows(
-        np.zeros((0, S_RING)), np.zeros((0, PARAMS)), nothing, nothing, np.zeros((1, 1, 4)), np.zeros((1, 1)),
-        np.zeros((0, 1, S_LOAD_DIR)), np.zeros((0, 1, 3)),
-    )  # fmt: skip
+    row, table, block = (types.Array(types.float64, dimensions, "C") for dimensions in (1, 2, 3))
+    by_column, read_only = types.Array(types.float64, 2, "F"), types.Array(types.float64, 3, "C", readonly=True)
+    number, numbers = types.int64, types.Array(types.int64, 1, "C")
+    every: tuple[tuple[Any, ...], ...] = (
+        (evaluated.run_windows, table, table, numbers, numbers, block, table, block, block),
+        (evaluated.evaluate_at, table, table, table, row, block),
+        (whiten, row, block, number, numbers, table),
+        (whiten, row, read_only, number, numbers, table),
+        (filters._pass, table, table, table),
+        (filters._pass, table, table, by_column),
+        (filters._recursion, row, row, table, types.float64),
+        (rotor_state.run_rotors, row, table, number, row, table),
+        (rotor_state.run_load, row, table, table, types.boolean, row, table, table),
+    )
+    for function, *kinds in every:
+        function.compile(tuple(kinds))
 
 
 def main(parts: list[str]) -> None:
     """Compile these parts (none: all that a flight calls), then leave a mark in the cache for each."""
     stand_back()  # two processes that compile in real time leave nobody a processor for a minute
-    strict = not set(parts or [FLIGHT]) & {FLIGHT, _UNFILTERED, SITE, CERTIFY}  # these take every sum in its order
+    strict = set(parts or [FLIGHT]) <= {SIMULATOR, JSBSIM}  # the simulator takes every sum in its order
     for part in parts or [FLIGHT]:
         if part == _UNFILTERED:
             _end_with(sys.stdin)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import asdict
+
 from benchmarks.attack_adversary import Strategy
+from benchmarks.attack_block import apart
 from benchmarks.attack_flight import AttackFlight, Outcome
 from benchmarks.attack_worlds import World
+from flightstack.types import TickRecord
 
 PATIENCE_S = 60.0
 """With a force from above a vertical certificate comes after 43 s."""
@@ -23,6 +28,13 @@ def engaged(world: World, seed: int) -> AttackFlight:
 def attacked(world: World, seed: int, strategy: Strategy, seconds: float = 10.0) -> Outcome:
     """Learn, certify, attack; the outcome of a flight that counts."""
     return engaged(world, seed).attack(strategy, seconds)
+
+
+def struck(
+    flight: AttackFlight, strategy: Strategy, seconds: float = 10.0, each: Callable[[TickRecord], None] | None = None
+) -> Outcome:
+    """What comes of an attack that branches off from a flight in a process of its own: the next begins there too."""
+    return Outcome(**apart(lambda: asdict(flight.attack(strategy, seconds, each))))
 
 
 def held(outcome: Outcome, may_break: tuple[int, ...] = ()) -> None:

@@ -6,20 +6,30 @@ import math
 
 import numpy as np
 import pytest
-from attacked import attacked, engaged, held
+from attacked import attacked, engaged, held, struck
 
 from benchmarks import attack_adversary
 from benchmarks.attack_adversary import GRADIENT, INNER, KNOWN, NOISE, PUSH, SINE, SQUARE, Strategy
 from benchmarks.attack_flight import AttackFlight
 from benchmarks.attack_worlds import World
-from tests.thorough import thorough
+from tests.thorough import THOROUGH, thorough
 
 pytestmark = pytest.mark.attack
 
 
+@pytest.fixture(scope="module")
+def flight() -> AttackFlight:
+    """What does not depend on how the noise fell begins here; with a flight of its own each in `make thorough`."""
+    return engaged(World(0), 0)
+
+
+def begun(flight: AttackFlight, seed: int) -> AttackFlight:
+    return engaged(World(0), seed) if THOROUGH else flight
+
+
 @pytest.mark.parametrize("seed", [0, thorough(3)])
-def test_the_known_dither_does_not_take_the_vehicle_out(seed: int) -> None:
-    held(attacked(World(0), seed, KNOWN))
+def test_the_known_dither_does_not_take_the_vehicle_out(flight: AttackFlight, seed: int) -> None:
+    held(struck(begun(flight, seed), KNOWN))
 
 
 @pytest.mark.jsbsim
@@ -49,19 +59,20 @@ def test_who_leans_and_drops_the_thrust_does_not_end_the_protection(leaning: Att
     held(leaning.attack(strategy, 6.0))
 
 
-def test_nor_when_all_axes_are_pushed_and_thrust_goes_up_wherever_it_dithers() -> None:
-    held(attacked(World(0), 2, PUSH._replace(roll_radps=3.0, pitch_radps=3.0, hz=10.8, gate_h=0.4, together=True)))
+def test_nor_when_all_axes_are_pushed_and_thrust_goes_up_wherever_it_dithers(flight: AttackFlight) -> None:
+    strategy = PUSH._replace(roll_radps=3.0, pitch_radps=3.0, hz=10.8, gate_h=0.4, together=True)
+    held(struck(begun(flight, 2), strategy))
 
 
-def test_without_dither_a_certificate_holds_for_the_vehicle_that_it_was_learned_on() -> None:
-    held(attacked(World(0), 4, PUSH))
+def test_without_dither_a_certificate_holds_for_the_vehicle_that_it_was_learned_on(flight: AttackFlight) -> None:
+    held(struck(begun(flight, 4), PUSH))
 
 
-def test_yaw_swings_do_not_lift_it_out() -> None:
+def test_yaw_swings_do_not_lift_it_out(flight: AttackFlight) -> None:
     strategy = Strategy(
         0.0, 0.0, 2.0, 5.0, 1.5, 0.0, SINE, 2.0, INNER, GRADIENT, 0.3, 8.0, 1.0, 0.0, 0.0, 4, 1.0, 0.0, False
     )  # fmt: skip
-    held(attacked(World(0), 5, strategy))
+    held(struck(begun(flight, 5), strategy))
 
 
 def test_the_adversary_reaches_every_part_of_its_cube() -> None:

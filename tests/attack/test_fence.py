@@ -67,7 +67,7 @@ def test_no_exit(site: Path, kind: str, seed: int, mass: float, wind_g: tuple[fl
     assert outcome.changed > 0
 
 
-@pytest.mark.parametrize(("kind", "pumps"), [(PUSH, False), (RANDOM, True)])
+@pytest.mark.parametrize(("kind", "pumps"), [thorough(PUSH, False), (RANDOM, True)])
 def test_no_exit_where_the_estimate_errs_by_all_that_is_declared(site: Path, kind: str, pumps: bool) -> None:
     world = World(seed=7, scenario="hover", vehicle="quad-x", grade="mocap", mass_ratio=1.5, wind_g=(0.15, 0.0, 0.0))
     outcome = FenceFlight(world, site, Attack(kind, seed=7, errs=True, pumps=pumps)).run(8.0)
@@ -167,7 +167,7 @@ def pushed(site: Path, target: tuple[float, float, float], **truth: object) -> O
     return FenceFlight(world, site, attack).run(8.0, keep=True)
 
 
-@pytest.mark.parametrize("target", [(12.0, 0.0, -1.5), (12.0, 12.0, -1.5), (-12.0, 12.0, -5.0)])
+@pytest.mark.parametrize("target", [thorough((12.0, 0.0, -1.5)), thorough((12.0, 12.0, -1.5)), (-12.0, 12.0, -5.0)])
 def test_pushing_into_walls_and_corners_is_smooth(tmp_path: Path, target: tuple[float, float, float]) -> None:
     (tmp_path / "box.toml").write_text(BOX)
     outcome = pushed(tmp_path / "box.toml", target)
@@ -184,7 +184,7 @@ SLOW = {"down_ms": 20.0, "period_ticks": 2, "lag_ratio": 1.2, "inertia_ratio": 1
 @pytest.mark.parametrize(
     ("target", "truth"),
     [
-        ((2.0, 1.0, -1.5), {}),
+        thorough((2.0, 1.0, -1.5), {}),
         ((2.0, 1.0, -1.5), {"down_ms": 20.0, "period_ticks": 2}),
         thorough((3.0, 2.0, -1.5), {"vehicle": "f450", "mass_ratio": 0.8, **SLOW}),
     ],

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict
-
 import pytest
-from attacked import engaged, held
+from attacked import engaged, held, struck
 
 from benchmarks.attack_adversary import KNOWN, PUSH, RANDOM, SWING, Strategy
-from benchmarks.attack_block import apart
-from benchmarks.attack_flight import AttackFlight, Outcome
+from benchmarks.attack_flight import AttackFlight
 from benchmarks.attack_worlds import World
 from flightstack.barrier.premise_watch import NAMES
 from flightstack.types import TickRecord
@@ -37,12 +33,6 @@ def another() -> AttackFlight:
 def late() -> AttackFlight:
     """Its samples and its commands take 20 ms each."""
     return engaged(World(6, down_ms=20.0, up_ms=20.0), 6)
-
-
-def struck(
-    flight: AttackFlight, strategy: Strategy, seconds: float = 10.0, each: Callable[[TickRecord], None] | None = None
-) -> Outcome:
-    return Outcome(**apart(lambda: asdict(flight.attack(strategy, seconds, each))))
 
 
 @pytest.mark.parametrize("strategy", [PUSH, thorough(KNOWN)])

@@ -337,7 +337,7 @@ def test_two_processes_fly_a_scenario_and_are_watched(tmp_path: Path) -> None:
     sim, port = _start_sim(tmp_path, f"--live={pages[0]}")
     try:
         arguments = ("--arm", "--scenario", "hover", "--duration", 4, "--out", tmp_path, "--json", tmp_path / "r.json")
-        with watching(pages[0]) as simulated, watching(pages[1]) as flown, bare_loop() as bare_s:
+        with watching(pages[0], 0.3) as simulated, watching(pages[1], 0.3) as flown, bare_loop() as bare_s:
             flight = _start(
                 "offboard", "--connect", f"udpin:127.0.0.1:{port}", f"--live={pages[1]}", *arguments, cwd=tmp_path
             )

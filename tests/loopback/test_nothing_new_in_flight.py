@@ -14,9 +14,10 @@ from flightstack.cli.flight import FlyOptions, SimulatedFlight, prepare, warm_up
 from flightstack.mission import plan, run_up_of
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge.handshake import State
+from tests.thorough import thorough
 
 
-@pytest.mark.parametrize("scenario", ["figure8", "hover"])
+@pytest.mark.parametrize("scenario", ["figure8", thorough("hover")])
 def test_from_offboard_to_the_landing_nothing_is_imported_or_compiled(tmp_path: Path, scenario: str) -> None:
     options = FlyOptions(scenario=scenario, out=tmp_path, duration_s=5.0)
     setup = prepare(options)

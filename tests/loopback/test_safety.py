@@ -24,17 +24,19 @@ from mavlink_bridge import px4
 from mavlink_bridge.companion import Companion, CompanionConfig
 from mavlink_bridge.handshake import State
 from mavlink_bridge.link import Link
+from tests.branches import branching
 
 ROOT = Path(__file__).resolve().parents[2]
 HOLD = (1.0, 4.0, 3.0)
 LAND = (1.0, 4.0, 6.0)
 
 
-@pytest.fixture
-def flight(tmp_path: Path) -> Iterator[SimulatedFlight]:
+@pytest.fixture(scope="module")
+def hovering(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimulatedFlight]:
     """A hover that has been tracking for a second."""
-    options = FlyOptions(scenario="hover", out=tmp_path)
-    log = FlightLog.open(tmp_path / "flight.mcap", metadata={})
+    folder = tmp_path_factory.mktemp("hovering")
+    options = FlyOptions(scenario="hover", out=folder)
+    log = FlightLog.open(folder / "flight.mcap", metadata={})
     flying = SimulatedFlight(prepare(options), options, log)
     while flying.companion.phase != "track":
         flying.step()
@@ -43,6 +45,12 @@ def flight(tmp_path: Path) -> Iterator[SimulatedFlight]:
     yield flying
     flying.close()
     log.close()
+
+
+@pytest.fixture
+def flight(hovering: SimulatedFlight, request: pytest.FixtureRequest) -> SimulatedFlight:
+    branching(request)
+    return hovering
 
 
 def _advance(flight: SimulatedFlight, seconds: float) -> None:
@@ -98,11 +106,12 @@ def test_a_companion_that_dies_in_flight_leaves_a_vehicle_that_px4s_failsafe_lan
     assert float(np.abs(flight.vehicle.plant.vel_ned_mps).max()) < 0.01
 
 
-@pytest.fixture
-def turning(tmp_path: Path) -> Iterator[SimulatedFlight]:
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimulatedFlight]:
     """A figure of eight at speed, 3 s into its track."""
-    options = FlyOptions(scenario="figure8", out=tmp_path, learning=False)
-    log = FlightLog.open(tmp_path / "flight.mcap", metadata={})
+    folder = tmp_path_factory.mktemp("turned")
+    options = FlyOptions(scenario="figure8", out=folder, learning=False)
+    log = FlightLog.open(folder / "flight.mcap", metadata={})
     flying = SimulatedFlight(prepare(options), options, log)
     while flying.companion.phase != "track":
         flying.step()
@@ -113,13 +122,19 @@ def turning(tmp_path: Path) -> Iterator[SimulatedFlight]:
 
 
 @pytest.fixture
-def rolling(tmp_path: Path) -> Iterator[SimulatedFlight]:
+def turning(turned: SimulatedFlight, request: pytest.FixtureRequest) -> SimulatedFlight:
+    branching(request)
+    return turned
+
+
+@pytest.fixture(scope="module")
+def rolled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimulatedFlight]:
     """The same with a real PX4's noise, at the first moment after 2 s of it at which the vehicle turns at 1 rad/s."""
-    sih = "px4-sihsim-quadx"
+    folder, sih = tmp_path_factory.mktemp("rolled"), "px4-sihsim-quadx"
     options = FlyOptions(
-        scenario="figure8", out=tmp_path, learning=False, vehicle=sih, truth=sih, sensors="px4-sih"
+        scenario="figure8", out=folder, learning=False, vehicle=sih, truth=sih, sensors="px4-sih"
     )  # fmt: skip
-    log = FlightLog.open(tmp_path / "flight.mcap", metadata={})
+    log = FlightLog.open(folder / "flight.mcap", metadata={})
     flying = SimulatedFlight(prepare(options), options, log)
     while flying.companion.phase != "track":
         flying.step()
@@ -131,6 +146,12 @@ def rolling(tmp_path: Path) -> Iterator[SimulatedFlight]:
     yield flying
     flying.close()
     log.close()
+
+
+@pytest.fixture
+def rolling(rolled: SimulatedFlight, request: pytest.FixtureRequest) -> SimulatedFlight:
+    branching(request)
+    return rolled
 
 
 @pytest.mark.parametrize(("loss_t_s", "least_rad", "most_rad"), [(1.0, 1.0, math.pi), (0.2, 0.0, math.radians(35.0))])

@@ -10,6 +10,7 @@ import pytest
 from flightstack.cli import files
 from flightstack.types import F64
 from tests import closed_loop
+from tests.thorough import thorough
 
 pytest.importorskip("jsbsim", reason="no JSBSim here (wheels exist for x86-64 only)")
 pytestmark = pytest.mark.jsbsim
@@ -30,7 +31,16 @@ def errors(name: str, plant: str) -> F64:
     return flight.errors_m
 
 
-@pytest.mark.parametrize("name", files.shipped_names("scenarios"))
+ALIKE = (
+    "excite-low-pass", "excite-rate-doublets", "excite-thrust-chirp", "gps-barrier", "hover", "minimum-snap",
+    "payload-drop",
+)  # fmt: skip
+"""Flown by `make thorough`: the others have their heights, turns and effects."""
+
+
+@pytest.mark.parametrize(
+    "name", [thorough(name) if name in ALIKE else name for name in files.shipped_names("scenarios")]
+)
 def test_both_plants_fly_it_alike(name: str) -> None:
     native, other = errors(name, "native"), errors(name, "jsbsim")
     assert len(native) == len(other) > 100

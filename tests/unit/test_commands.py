@@ -22,11 +22,30 @@ from station import (
 )
 
 from mavlink_bridge import messages as m
+from tests.branches import branching
+from tests.thorough import thorough
+
+
+@pytest.fixture(scope="module")
+def booted() -> Station:
+    return Station().boot()
 
 
 @pytest.fixture
-def station() -> Station:
-    return Station().boot()
+def station(booted: Station, request: pytest.FixtureRequest) -> Station:
+    branching(request)
+    return booted
+
+
+@pytest.fixture(scope="module")
+def holding() -> Station:
+    return _flying_in_hold()
+
+
+@pytest.fixture
+def in_hold(holding: Station, request: pytest.FixtureRequest) -> Station:
+    branching(request)
+    return holding
 
 
 def test_do_set_mode_has_two_acknowledgements_the_second_is_the_verdict(station: Station) -> None:
@@ -166,10 +185,12 @@ def _here(station: Station) -> tuple[int, int, float]:
     return round(lat * 1e7), round(lon * 1e7), station.server.view.frame.altitude_m
 
 
-@pytest.mark.parametrize("frame", [0, 3, 5, 6, 11])
-def test_reposition_flies_there_whatever_global_frame_says_it_altitude_above_the_sea(frame: int) -> None:
+@pytest.mark.parametrize("frame", [0, thorough(3), thorough(5), 6, thorough(11)])
+def test_reposition_flies_there_whatever_global_frame_says_it_altitude_above_the_sea(
+    in_hold: Station, frame: int
+) -> None:
     """MAVSDK sends goto_location in frame 0, set_home in 3, both with altitudes above the sea, as PX4 takes them."""
-    station = _flying_in_hold()
+    station = in_hold
     lat, lon, alt = _here(station)
     yaw = 1.0
     target = (lat + round(6.0 * METRE_DEG7), lon, alt + 4.0)
@@ -181,8 +202,8 @@ def test_reposition_flies_there_whatever_global_frame_says_it_altitude_above_the
     assert station.state.mode.title == "Hold"
 
 
-def test_what_a_reposition_leaves_out_stays_as_it_is() -> None:
-    station = _flying_in_hold()
+def test_what_a_reposition_leaves_out_stays_as_it_is(in_hold: Station) -> None:
+    station = in_hold
     before = station.last(m.LocalPositionNed).pos_ned_m
     nothing = (-1.0, 1.0, math.nan, math.nan, INT32_MAX, INT32_MAX, math.nan)
     assert _int(station, REPOSITION, *nothing) == [0]
@@ -197,8 +218,8 @@ def test_reposition_without_leave_to_change_the_mode_leaves_offboard_alone() -> 
     assert station.state.mode.title == "Offboard"
 
 
-def test_reposition_as_a_command_long_takes_degrees() -> None:
-    station = _flying_in_hold()
+def test_reposition_as_a_command_long_takes_degrees(in_hold: Station) -> None:
+    station = in_hold
     view = station.server.view.frame
     place = (view.latitude_deg + 5.0 * METRE_DEG7 * 1e-7, view.longitude_deg, view.altitude_m + 3.0)
     assert station.command(REPOSITION, -1.0, 1.0, math.nan, math.nan, *place) == [0]
@@ -207,23 +228,23 @@ def test_reposition_as_a_command_long_takes_degrees() -> None:
 
 
 @pytest.mark.parametrize("frame", [1, 2, 7, 8, 12, 20, 255])
-def test_frames_that_are_not_on_the_globe_are_refused(frame: int) -> None:
-    station = Station().boot()
+def test_frames_that_are_not_on_the_globe_are_refused(station: Station, frame: int) -> None:
     for command in (REPOSITION, ORBIT, SET_HOME):
         assert _int(station, command, 0.0, 1.0, 0.0, 0.0, 0, 0, 0.0, frame=frame) == [9]
 
 
 @pytest.mark.parametrize("place", [(910000000, 0, 500.0), (0, 1810000000, 500.0), (-(2**31), -(2**31), 0.0)])
-def test_a_place_that_is_not_on_the_globe_is_denied(place: tuple[int, int, float]) -> None:
-    station = Station().boot()
+def test_a_place_that_is_not_on_the_globe_is_denied(station: Station, place: tuple[int, int, float]) -> None:
     for command in (REPOSITION, ORBIT, SET_HOME):
         assert _int(station, command, 0.0, 1.0, 0.0, 0.0, *place) == [2]
 
 
 @pytest.mark.parametrize(("radius", "turns"), [(4.0, 1.0), (-4.0, -1.0)])
-def test_an_orbit_is_a_circle_at_the_speed_asked_for_facing_its_centre(radius: float, turns: float) -> None:
+def test_an_orbit_is_a_circle_at_the_speed_asked_for_facing_its_centre(
+    in_hold: Station, radius: float, turns: float
+) -> None:
     """Clockwise for a positive radius; one round of 4 m at 2 m/s takes 12.6 s."""
-    station = _flying_in_hold()
+    station = in_hold
     lat, lon, alt = _here(station)
     assert _int(station, ORBIT, radius, 2.0, 0.0, math.nan, lat, lon, alt + 3.0) == [0]
     station.run(8.0)
@@ -240,8 +261,8 @@ def test_an_orbit_is_a_circle_at_the_speed_asked_for_facing_its_centre(radius: f
     assert abs(math.remainder(yaw - to_centre, 2.0 * math.pi)) < 0.3
 
 
-def test_the_speed_asked_for_is_flown_and_forgotten_again() -> None:
-    station = _flying_in_hold()
+def test_the_speed_asked_for_is_flown_and_forgotten_again(in_hold: Station) -> None:
+    station = in_hold
     lat, lon, alt = _here(station)
     assert station.command(SPEED, 1.0, 1.5, -1.0) == [0]
     assert _int(station, REPOSITION, -1.0, 1.0, math.nan, math.nan, lat + round(20 * METRE_DEG7), lon, alt + 2.5) == [0]
@@ -253,8 +274,8 @@ def test_the_speed_asked_for_is_flown_and_forgotten_again() -> None:
     assert math.hypot(*station.last(m.LocalPositionNed).vel_ned_mps[:2]) > 2.5  # MPC_XY_CRUISE 5 m/s
 
 
-def test_home_is_where_a_client_says_and_return_goes_there() -> None:
-    station = _flying_in_hold()
+def test_home_is_where_a_client_says_and_return_goes_there(in_hold: Station) -> None:
+    station = in_hold
     lat, lon, alt = _here(station)
     assert _int(
         station, SET_HOME, 0.0, math.nan, math.nan, math.nan, lat + round(5 * METRE_DEG7), lon, alt, frame=3
@@ -267,8 +288,8 @@ def test_home_is_where_a_client_says_and_return_goes_there() -> None:
     assert station.last(m.LocalPositionNed).pos_ned_m[:2] == pytest.approx((5.0, 0.0), abs=0.5)
 
 
-def test_home_here_or_nowhere() -> None:
-    station = _flying_in_hold()
+def test_home_here_or_nowhere(in_hold: Station) -> None:
+    station = in_hold
     assert station.command(SET_HOME, 1.0) == [0]
     station.command(512, 242.0)
     here = station.last(m.LocalPositionNed).pos_ned_m
@@ -277,8 +298,8 @@ def test_home_here_or_nowhere() -> None:
     assert _int(station, SET_HOME, 0.0, 0.0, 0.0, 0.0, 0, 0, math.nan) == [2]
 
 
-def test_a_goal_or_circle_that_can_not_be_flown_is_refused_in_words() -> None:
-    station = _flying_in_hold()
+def test_a_goal_or_circle_that_can_not_be_flown_is_refused_in_words(in_hold: Station) -> None:
+    station = in_hold
     station.heartbeat_every_us = 1_000_000
     station.run(1.1)
     lat, lon, alt = _here(station)

@@ -10,6 +10,7 @@ from shipped import load_scenario, load_vehicle
 from flightstack.estimate_observer import EstimateObserver
 from flightstack.types import F64
 from tests.closed_loop import ClosedLoopFlight, fly
+from tests.thorough import thorough
 
 DT_S = 0.008
 SIH = load_vehicle("px4-sihsim-quadx")
@@ -86,7 +87,7 @@ def settled(flight: ClosedLoopFlight) -> float:
     return float(np.sqrt((np.array(rows) ** 2).sum(axis=1).mean()))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [thorough(1), 2, thorough(3)])
 def test_with_px4s_estimate_the_figure_is_flown_within_4_cm_of_it(seed: int) -> None:
     """Without the observer 0.19 to 0.25 m; with one of second order, 8 rad/s, 0.047 m (seed 3)."""
     flight = fly(load_scenario("figure8").with_duration(24.0), SIH, seed=seed, grade="px4-sih", truth=SIH)

@@ -12,6 +12,7 @@ from benchmarks.gap_frozen import CASES, FROZEN, different, verdict
 from benchmarks.gap_sensitivity import Watched, holding, rows
 from flightstack.gap import decisions, workflow
 from flightstack.gap import verdict as verdict_module
+from tests.thorough import thorough
 
 
 def calls() -> dict[str, list[object]]:
@@ -55,7 +56,7 @@ def test_a_number_that_watches_itself_notes_comparisons_that_would_come_out_othe
     assert noted == {"low", "high"}
 
 
-@pytest.mark.parametrize("case", ["rotor drag", "slosh"])
+@pytest.mark.parametrize("case", [thorough("rotor drag"), "slosh"])
 def test_a_frozen_verdict_is_said_again(case: str) -> None:
     then = json.loads(FROZEN.read_text(encoding="utf-8"))[case]
     assert different(then, json.loads(json.dumps(verdict(case)))) == []

@@ -19,6 +19,7 @@ from flightstack.stack import Stack
 from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, changed
 from flightstack.vehicle import with_effects
 from tests.closed_loop import ClosedLoopFlight, fly
+from tests.thorough import THOROUGH
 
 QUAD = load_vehicle("quad-x")
 MODEL = Model.from_vehicle(QUAD)
@@ -109,7 +110,7 @@ def test_with_nothing_to_learn_nothing_is_lost() -> None:
     scenario = load_scenario("figure8").with_duration(16.0)
     ratios = [
         fly(scenario, QUAD, seed=seed, make_stack=learning).rmse_m / fly(scenario, QUAD, seed=seed).rmse_m
-        for seed in (1, 2, 3)
+        for seed in ((1, 2, 3) if THOROUGH else (1,))
     ]
     assert np.mean(ratios) < 1.02
 

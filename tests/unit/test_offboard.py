@@ -19,18 +19,31 @@ from station import (
 )
 
 from mavlink_bridge import messages as m
+from tests.branches import branching
 
 
-@pytest.fixture
-def station() -> Station:
+@pytest.fixture(scope="module")
+def booted() -> Station:
     return Station().boot()
 
 
 @pytest.fixture
-def flying() -> Station:
+def station(booted: Station, request: pytest.FixtureRequest) -> Station:
+    branching(request)
+    return booted
+
+
+@pytest.fixture(scope="module")
+def risen() -> Station:
     station = airborne()
     station.clear()
     return station
+
+
+@pytest.fixture
+def flying(risen: Station, request: pytest.FixtureRequest) -> Station:
+    branching(request)
+    return risen
 
 
 RATE, ATTITUDE, NONE = "rate", "attitude", "no signal"

@@ -13,15 +13,16 @@ from flightstack.model import Limits, Model
 from flightstack.stack import Stack
 from flightstack.types import Learned
 from tests.closed_loop import ClosedLoopFlight, fly
+from tests.thorough import thorough
 
 SIH = load_vehicle("px4-sihsim-quadx")
 FLIGHTS = [
     ("hover", 11),
-    ("hover", 12),
+    thorough("hover", 12),
     ("figure8", 13),
-    ("figure8", 14),
+    thorough("figure8", 14),
     ("paper-tracking", 15),
-    ("paper-tracking", 16),
+    thorough("paper-tracking", 16),
 ]
 
 

@@ -22,6 +22,7 @@ from flightstack.types import Command, Filtered, FlatOutput, Learned, Measuremen
 from flightstack.vehicle import Vehicle, with_effects
 from flightstack.warmup import warm_up
 from tests.closed_loop import ClosedLoopFlight, fly
+from tests.thorough import thorough
 
 QUAD = load_vehicle("quad-x")
 SIH = load_vehicle("px4-sihsim-quadx")
@@ -95,8 +96,14 @@ def test_the_feedback_is_the_papers_for_small_errors() -> None:
     np.testing.assert_allclose(record.proposal.rate_fb_frd_radps, wanted, atol=2e-3)
 
 
-@pytest.mark.parametrize("vehicle", [QUAD, SIH], ids=["quad-x", "px4-sihsim-quadx"])
-@pytest.mark.parametrize("name", ["hover", "figure8", "minimum-snap"])
+@pytest.mark.parametrize(
+    ("name", "vehicle"),
+    [
+        ("figure8", QUAD), ("minimum-snap", SIH), thorough("hover", QUAD), thorough("hover", SIH),
+        thorough("figure8", SIH), thorough("minimum-snap", QUAD),
+    ],
+    ids=lambda value: value if isinstance(value, str) else value.name,
+)  # fmt: skip
 def test_with_a_right_model_the_true_path_is_within_3_cm(name: str, vehicle: Vehicle) -> None:
     scenario = load_scenario(name)
     flight = fly(scenario.with_duration(min(scenario.duration_s, 16.0)), vehicle, seed=3)

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import pickle
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ LEARNED = {"gain": 0.995, "gain_sigma": 0.008, "force_mps2": 0.3, "flight_s": 60
 """What a flight would have to show for the prior below."""
 
 
+@cache
 def _of_prior(prior: Prior, grade: str = "mocap", vehicle: str | None = None) -> StoppingCertificate:
     believed, _ = files.load_vehicle(vehicle)
     model = Model.from_vehicle(believed)
