@@ -57,7 +57,7 @@ def attacked(site: Path, kind: str, seed: int, mass: float, wind_g: tuple[float,
         (PUSH, 304, 1.4, (0.1, 0.1, 0.05)),
         (THROUGH, 21, 0.8, (0.1, 0.0, 0.1)),
         (DITHER, 30, 1.2, (0.0, 0.1, 0.0)),
-        (RANDOM, 3, 1.2, (0.0, 0.0, 0.0)),
+        thorough(RANDOM, 3, 1.2, (0.0, 0.0, 0.0)),
     ],
 )
 def test_no_exit(site: Path, kind: str, seed: int, mass: float, wind_g: tuple[float, float, float]) -> None:
@@ -111,7 +111,7 @@ def creeping(folder: Path, speed_mps: float, told: float, **truth: object) -> Ou
     return flown.run(4.0 / speed_mps + 4.0)
 
 
-@pytest.mark.parametrize(("force_g", "leaves"), [(0.15, False), (0.3, True)])
+@pytest.mark.parametrize(("force_g", "leaves"), [thorough(0.15, False), (0.3, True)])
 def test_half_of_the_true_force_is_found_out(tmp_path: Path, force_g: float, leaves: bool) -> None:
     """With 0.2 to 0.35 m/s alike: some 200 ticks outside the wall."""
     outcome = creeping(tmp_path, 0.3, 1.0, mass_ratio=1.4, wind_g=(force_g, 0.0, 0.0))

@@ -238,7 +238,7 @@ def test_a_timed_event_changes_the_truth_in_flight_and_is_in_the_log(tmp_path: P
 
 def test_a_truth_file_replaces_the_scenarios_truth_and_the_controller_never_sees_it(tmp_path: Path) -> None:
     """With --truth naming the believed vehicle, the paper's flight has no wrong mass and no wind left."""
-    result, log = _fly(tmp_path, "paper-tracking", truth="quad-x", duration_s=8.0)
+    result, log = _fly(tmp_path, "paper-tracking", truth="quad-x", duration_s=5.0)
     assert result.completed, result.reason
     assert result.tracking["rmse_m"] < 0.03
     assert b"mass_kg = 1.2" in (log.attachment("truth.toml") or b"")

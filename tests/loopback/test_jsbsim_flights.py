@@ -62,6 +62,7 @@ def test_the_certified_region_grows_and_is_not_left_on_the_other_physics(tmp_pat
     assert areas[-1] > areas[0]
 
 
+@ONLY_THEN
 def test_rotor_drag_and_lift_that_only_jsbsim_knows_are_learned(tmp_path: Path) -> None:
     result, _ = flown(tmp_path, "steady-wind", duration_s=8.0)
     assert result.completed, result.reason

@@ -54,6 +54,7 @@ def test_on_the_papers_path_learning_leaves_a_tenth_of_the_error_and_was_really_
     assert learning.gp["thrust_gain"] == pytest.approx(1.0 / 1.4, rel=0.05)  # the inverse of the true mass ratio
 
 
+@ONLY_THEN  # in memory: test_learned_tails.py
 def test_the_bound_holds_the_true_residual(tmp_path: Path) -> None:
     result, _ = _fly(tmp_path, "steady-wind", duration_s=20.0, seed=13)
     assert 0.98 < result.gp["coverage_3sigma"] <= 1.0

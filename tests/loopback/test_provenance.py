@@ -32,6 +32,7 @@ from flightstack.certificate_check.samples import WANTED
 from flightstack.cli.certify import CertifyResult, certify
 from flightstack.cli.flight import FlyOptions, prepare
 from flightstack.cli.main import main
+from flightstack.cli.replay import replay
 from flightstack.explore import ExploreConfig
 from flightstack.types import InputError
 from flightstack_logs.reader import Log, read
@@ -146,6 +147,11 @@ def test_what_came_out_may_be_flown_by_the_vehicle_and_sensors_that_it_names(flo
     other.write_text(resealed(data))
     with pytest.raises(InputError, match="the independent checker refuses it: "):
         prepare(FlyOptions(scenario="paper-barrier", certificate=other))
+
+
+def test_a_replay_refuses_rules_that_the_log_does_not_name(flown: Flown) -> None:
+    with pytest.raises(InputError, match="rules that it does not name"):
+        replay(flown.log)
 
 
 def test_the_page_lies_beside_the_flights_own(flown: Flown) -> None:

@@ -15,6 +15,7 @@ from flightstack.barrier.design import at_speed, published
 from flightstack.barrier.records import Authority
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.types import F64
+from tests.thorough import thorough
 
 
 def at(q: tuple[float, ...], u: F64 | float) -> Any:
@@ -115,7 +116,7 @@ def test_published_form_never_closes(mu: float, gamma: float) -> None:
     assert found.failed[1] == pytest.approx(0.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(("barrier", "setting", "authority"), CASES)
+@pytest.mark.parametrize(("barrier", "setting", "authority"), [*(thorough(*case) for case in CASES[:2]), *CASES[2:]])
 def test_a_region_slightly_too_large_never_closes(barrier: Barrier, setting: Setting, authority: Authority) -> None:
     """Sizes around the limit that brute force finds: below it closes, above it never."""
 
