@@ -346,10 +346,13 @@ def _landing(now: Situation, now_us: int) -> Decision | None:
         )
     if _in_state_s(now, now_us) > now.landing_limit_s:
         where = "on the ground" if view.on_ground else "in the air"
+        stands = (
+            ", and stands, for its motors idle and it feels its weight" if view.stands and not view.on_ground else ""
+        )
         return Decision(
             HandshakeEvent.TIMEOUT,
             f"{why}{now.landing_limit_s:.0f} s after Land was commanded the vehicle is armed, {where} by its own "
-            f"report: left to PX4{_says(view, now_us, 10)}",
+            f"report{stands}: left to PX4{_says(view, now_us, 10)}",
         )
     return None
 

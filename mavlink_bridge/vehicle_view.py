@@ -7,7 +7,10 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any
 
-from flightstack.predictor import Streams
+import numpy as np
+
+from flightstack.predictor import Streams, sampled
+from flightstack.types import STANDARD_GRAVITY_MPS2
 from mavlink_bridge import messages as m
 from mavlink_bridge.command_latency import CommandLatency
 from mavlink_bridge.command_way import CommandWay
@@ -19,6 +22,9 @@ _TEXT_MEMORY = 50
 _HEARTBEAT_LATE_US = 2_500_000
 """PX4 sends one a second, and a vehicle's second beside a busy machine lasts longer."""
 _MODE_AND_INTENTION_US = 1_000_000
+_IDLE_SHARE = 0.3
+"""Of the thrust that hovers; PX4's default of that stands well where the true one is twice or half as much."""
+_WEIGHT_OFF_MPS2 = 1.0
 _QUICK_US = 40_000
 """A round trip of a link that is quick enough now and then, whatever most take."""
 _ROUND_TRIPS, _LATEST = 6_000, 10
@@ -100,6 +106,19 @@ class VehicleView:
     def on_ground(self) -> bool:
         """The land detector says so (unknown counts as not on the ground)."""
         return self.landed_state == 1
+
+    @property
+    def stands(self) -> bool:
+        """Something else than its motors carries it, whatever the estimator makes of that.
+
+        Thrust goes with the command, or with more than its first power: three tenths of what hovers carry no half.
+        """
+        seen = sampled(self.streams, self.streams.imu_us, corrected=False)
+        if seen is None:
+            return False
+        command, weight = float(np.mean(seen.motor_command)), float(np.linalg.norm(seen.specific_force_frd_mps2))
+        idle = command < _IDLE_SHARE * self.params.values.get("MPC_THR_HOVER", math.nan)
+        return idle and abs(weight - STANDARD_GRAVITY_MPS2) < _WEIGHT_OFF_MPS2
 
     def is_slower_than(self, round_trip_s: float) -> bool:
         """Whether the link has become slower: half of a second's trips, and none of them was a quick one."""

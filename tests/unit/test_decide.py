@@ -33,7 +33,8 @@ def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) 
         heartbeat=SimpleNamespace(autopilot=12, type=2), version=object(), armed=False, in_offboard=False,
         intends_offboard=False, would_return=False, mode_name="Position", estimator_flags=GOOD, landed_state=1,
         intended_at_us=1, round_trip_us=55_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED, stood_us=0,
-        custom_mode=px4.MODE_OFFBOARD, on_ground=False, params=SimpleNamespace(settled=True, values=SAFE, missing=()),
+        stands=False, custom_mode=px4.MODE_OFFBOARD, on_ground=False,
+        params=SimpleNamespace(settled=True, values=SAFE, missing=()),
         recent_texts=lambda now_us, window_us: [],
     )  # fmt: skip
     vars(seen).update(view or {})
@@ -299,12 +300,18 @@ def test_what_a_vehicle_lacks_is_told_when_the_time_is_over(view: dict[str, Any]
 
 
 def test_a_landing_that_does_not_end_is_told_with_where_the_vehicle_is() -> None:
-    for on_ground, where in ((True, "on the ground"), (False, "in the air")):
-        view = {**ARMED, "on_ground": on_ground, "heard_at_us": ENTERED + 3 * S}
+    stands = "in the air by its own report, and stands, for its motors idle and it feels its weight: left to PX4"
+    for on_ground, idle, where in (
+        (True, False, "on the ground by its own report: left to PX4"),
+        (True, True, "on the ground by its own report: left to PX4"),
+        (False, False, "in the air by its own report: left to PX4"),
+        (False, True, stands),
+    ):
+        view = {**ARMED, "on_ground": on_ground, "stands": idle, "heard_at_us": ENTERED + 3 * S}
         now = situation(State.LANDING, view, landing_limit_s=2.0, landing_for="guard: tipped over")
         decision = decide(now, ENTERED + 3 * S)
         assert decision is not None
-        words = f"2 s after Land was commanded the vehicle is armed, {where} by its own report"
+        words = f"2 s after Land was commanded the vehicle is armed, {where}"
         assert decision.reason.startswith(f"guard: tipped over; {words}")
 
 

@@ -13,6 +13,7 @@ from fake_px4 import LAND, exchange
 
 from mavlink_bridge import messages as m
 from mavlink_bridge.handshake import State
+from mavlink_bridge.vehicle_view import VehicleView
 
 
 @pytest.mark.parametrize(("landed", "where"), [(2, "in the air"), (1, "on the ground")])
@@ -32,6 +33,27 @@ def test_a_landing_that_never_ends_is_left_to_px4(landed: int, where: str) -> No
     assert where in companion.reason
     assert not companion.completed
     assert vehicle.commands[said:] == []
+
+
+@pytest.mark.parametrize(
+    ("pwm_us", "force_mps2", "stands"), [(1080, 9.8, True), (1480, 9.8, False), (1080, 1.6, False), (None, 9.8, False)]
+)
+def test_a_vehicle_whose_motors_idle_and_that_feels_its_weight_stands(
+    pwm_us: int | None, force_mps2: float, stands: bool
+) -> None:
+    """A real PX4 believed for 50 s that it rose at 1.4 m/s, on the ground, motors idle.
+
+    With MPC_THR_HOVER 0.5 they carry a sixth of the weight then, and who falls by them feels no more than that.
+    """
+    view, still = VehicleView(), (0.0, 0.0, 0.0)
+    assert not view.stands
+    view.params.take(m.ParamValue("MPC_THR_HOVER", m.param_bits(0.5, m.PARAM_REAL32), m.PARAM_REAL32, 875, 1))
+    view.update(m.AttitudeQuaternion(4_000, (1.0, 0.0, 0.0, 0.0), still), 4_000)
+    view.update(m.LocalPositionNed(4_000, still, (0.0, 0.0, -1.4)), 4_000)
+    view.update(m.HighresImu(4_000, (0.0, 0.0, -force_mps2), still, still, 955.0, 0.0, 488.0, 20.0, 63), 4_000)
+    if pwm_us is not None:
+        view.update(m.ServoOutputRaw(4_000, 0, (pwm_us,) * 4 + (0,) * 12), 4_000)
+    assert view.stands is stands
 
 
 def test_a_vehicle_whose_heartbeats_have_stopped_is_asked_whether_it_has_disarmed() -> None:
