@@ -88,10 +88,10 @@ fly: $(BIN)/.installed
 	$(BIN)/flightstack fly
 
 test: $(BIN)/.installed
-	@{ $(BIN)/python -m flightstack.cli.compiled flight jsbsim site certify gap; \
-	  $(BIN)/python -m tests.compiled_ahead; } >/dev/null 2>&1 & compiling=$$!; \
+	@$(BIN)/python -m flightstack.cli.compiled flight jsbsim site certify gap >/dev/null 2>&1 & compiling=$$!; \
 	  $(MAKE) --no-print-directory $(BIN)/.installed-dev && \
 	  $(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/lint-imports; checked=$$?; \
+	  [ $$checked != 0 ] || $(BIN)/python -m tests.compiled_ahead >/dev/null 2>&1; \
 	  wait $$compiling; exit $$checked
 	@# Types are checked while tests wait for what flies in real time; the least share of a busy processor is theirs.
 	nice -n 19 $(BIN)/mypy > $(VENV)/types.txt 2>&1 & typed=$$!; \

@@ -1,6 +1,6 @@
 """What tests call compiled and no verb does, compiled before they begin: each of their processes would compile it.
 
-`make test` runs it beside the linting, when what the verbs call is compiled (`flightstack.cli.compiled`).
+`make test` runs it after the linting, while another process still compiles what the verbs call.
 """
 
 from __future__ import annotations
