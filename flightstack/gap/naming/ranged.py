@@ -1,8 +1,9 @@
 """Intervals of named effects where numbers of the vehicle file are only guessed, and the class of the common scale.
 
-A number that the file gives as a range stays where it is in the fit; how far the estimates move with it is added to
-their covariance (Schmidt's consider parameters, 1966).  Where an effect is named that is itself such a number under
-another name (a payload for the mass), the effect carries the uncertainty.
+A number that the file gives as a range stays where it is in the fit; how far the estimates move with what the range
+and the flights together leave of it is added to their covariance (Schmidt's consider parameters, 1966).  Where an
+effect is named that is itself such a number under another name (a payload for the mass), the effect carries the
+uncertainty.
 
 Mass, thrust, inertia and drag times two fly alike.  Where effects correct several of them and nothing that is known
 fixes the scale, ranges (or how well such numbers are usually guessed) say where on that line the estimate stands, and
@@ -70,10 +71,13 @@ def carried(
     named = {STANDS_FOR.get(slot, "") for slot in slots}
     guessed = [n for n in numbers.values() if n.is_ranged and n.name not in named]
     if guessed:
-        moves = layout.stack([np.nan_to_num(c) for c in _number_columns(state, vehicle, guessed)])[chosen]
-        width = np.array([(n.high - n.low) / np.sqrt(12.0) for n in guessed])
-        reach = (inverted @ (mine.T @ moves)) * width
-        covariance = covariance + reach @ reach.T
+        moves = layout.stack([np.nan_to_num(c) for c in _number_columns(state, vehicle, guessed)])
+        both, all_known = np.hstack([x, moves]), np.append(known, [12.0 / (n.high - n.low) ** 2 for n in guessed])
+        wide = covariance_of(state, both, rows, chosen, left, all_known)
+        asked = both[chosen].T @ rows[chosen] + np.append(known * (centre - now), np.zeros(len(guessed)))
+        off = (inverse(both[chosen].T @ both[chosen] + np.diag(all_known)) @ asked)[len(slots) :]
+        reach = inverted @ (mine.T @ moves[chosen])
+        covariance = covariance + reach @ (wide[len(slots) :, len(slots) :] + np.outer(off, off)) @ reach.T
     return _told(found, vehicle, slots, now + shift, covariance)
 
 
