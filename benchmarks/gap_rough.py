@@ -103,7 +103,7 @@ def judge(kind: str, truth: Vehicle, rough: Vehicle, found: Vehicle, said: dict[
     names = {e["name"] for e in said["effects"]} | {t for e in said["effects"] for t in e["indistinguishable_from"]}
     planted = [each for each in KINDS[:-1] if _is_planted(each, kind, truth, rough)]
     hidden = {e for e, values in truth.effects.items() if dict(rough.effects.get(e, {})) != dict(values)}
-    right = {e for each in planted for e in CLASSES[each]} | hidden
+    right = {e for each in KINDS[:-1] if kind in (each, "all") for e in CLASSES[each]} | hidden
     right |= {t for e in said["effects"] if e["name"] in right for t in e["indistinguishable_from"]}
     wrong = [
         e["name"] for e in said["effects"] if e["name"] not in right and not set(e["indistinguishable_from"]) & right

@@ -114,6 +114,7 @@ def _microseconds(log: Flight) -> Flight:
 DEFECTS: dict[str, tuple[Callable[[Flight], Flight], str]] = {
     "accelerometer in g": (_scaled("accel_frd_mps2", 1.0 / 9.80665), "accelerometer: was in g"),
     "accelerometer in mg": (_scaled("accel_frd_mps2", 1e3 / 9.80665), "accelerometer: was in mg"),
+    "accelerometer in cm/s^2": (_scaled("accel_frd_mps2", 100.0), "accelerometer: was in cm/s^2"),
     "gyro in degrees": (_scaled("rate_frd_radps", 57.29578), "gyro: was in deg/s"),
     "velocity in mm/s": (_scaled("vel_ned_mps", 1e3), "velocity: was in mm/s"),
     "velocity in km/h": (_scaled("vel_ned_mps", 3.6), "velocity: was in km/h"),

@@ -30,6 +30,7 @@ _VECTORS = (*_WORLDS, "neu")
 _TURNS = {"ned": (1.0, 0.0, 0.0, 0.0), "nwu": (0.0, 1.0, 0.0, 0.0), "enu": (0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0)}
 _SPEED_UNITS = {"mm/s": 1e3, "cm/s": 1e2, "km/h": 3.6, "ft/s": 1.0 / 0.3048, "knots": 1.0 / 0.514444}
 _LENGTH_UNITS = {"mm": 1e3, "cm": 1e2, "ft": 1.0 / 0.3048, "km": 1e-3}
+_WAS_IN = "accelerometer: was in {}; turned into m/s^2"
 _ANGULAR_UNITS = {"deg/s": 180.0 / np.pi, "mrad/s": 1e3, "rpm": 30.0 / np.pi}
 
 
@@ -76,7 +77,7 @@ def settle(signals: Mapping[str, Signal], span_s: tuple[float, float]) -> tuple[
     """The signals in SI, NED and FRD with what had to be changed; the flying part is within `span_s`."""
     out = dict(signals)
     findings: list[Finding] = []
-    _accelerometer(out, span_s, findings)
+    unit = _accelerometer(out, span_s, findings)
     middle = 0.5 * (span_s[0] + span_s[1])
     half = 0.5 * min(span_s[1] - span_s[0], _LONGEST_S)
     seen = motion(out, (middle - half, middle + half), GRID_S)
@@ -84,30 +85,49 @@ def settle(signals: Mapping[str, Signal], span_s: tuple[float, float]) -> tuple[
         return out, findings
     seen = _attitude(out, seen, findings)
     seen = _velocity_unit(out, seen, findings)
+    if unit == "mg":
+        seen = _milli_g(out, seen, findings)
     _position(out, seen, findings)
     return out, findings
 
 
-def _accelerometer(out: dict[str, Signal], span_s: tuple[float, float], findings: list[Finding]) -> None:
-    """In the air the mean specific force is one g, along body -z."""
+def _accelerometer(out: dict[str, Signal], span_s: tuple[float, float], findings: list[Finding]) -> str:
+    """In the air the mean specific force is one g, along body -z; the unit that it was in."""
     signal = out.get("accel_frd_mps2")
     if signal is None:
-        return
+        return ""
     inside = (signal.t_s >= span_s[0]) & (signal.t_s <= span_s[1])
     if not inside.any():
-        return
-    value = signal.value
+        return ""
+    value, unit = signal.value, ""
     mean = float(np.median(np.linalg.norm(value[inside], axis=1)))
-    for unit, factor in (("g", 1.0), ("mg", 1e3), ("cm/s^2", 1e2 * STANDARD_GRAVITY_MPS2)):
+    for name, factor in (("g", 1.0), ("mg", 1e3)):
         if 0.7 * factor < mean < 1.4 * factor:
-            scale = STANDARD_GRAVITY_MPS2 / factor
+            unit, scale = name, STANDARD_GRAVITY_MPS2 / factor
             value = value * scale
-            findings.append(warning("units", f"accelerometer: was in {unit}; turned into m/s^2"))
+            findings.append(warning("units", _WAS_IN.format(unit)))
             mean *= scale
     if float(np.median(value[inside][:, 2])) > 0.5 * mean:
         value = body_to_frd(value, "flu")
         findings.append(warning("frames", "accelerometer: was in FLU (z up); turned into FRD"))
     out["accel_frd_mps2"] = Signal(signal.t_s, value, signal.source)
+    return unit
+
+
+def _milli_g(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:
+    """One g is 1000 mg and 981 cm/s^2: which it was says the mean of what is felt upwards, tilt taken out."""
+    if not {"q_ned_frd", "vel_ned_mps"} <= set(seen.columns):
+        return seen
+    fallen = float(seen["vel_ned_mps"][-1, 2] - seen["vel_ned_mps"][0, 2]) / float(seen.t_s[-1] - seen.t_s[0])
+    up = -float(rotate(seen["q_ned_frd"], seen["accel_frd_mps2"])[:, 2].mean())
+    scale = 1e1 / STANDARD_GRAVITY_MPS2
+    expected = STANDARD_GRAVITY_MPS2 - fallen
+    if abs(scale * up - expected) >= abs(up - expected):
+        return seen
+    columns = dict(seen.columns)
+    _turn(out, columns, "accel_frd_mps2", lambda v: v * scale)
+    findings[findings.index(warning("units", _WAS_IN.format("mg")))] = warning("units", _WAS_IN.format("cm/s^2"))
+    return Motion(seen.t_s, seen.dt_s, columns, seen.known)
 
 
 def correlation(a: F64, b: F64, dt_s: float) -> tuple[float, float, float]:
