@@ -22,35 +22,27 @@ _NOTHING = 0.02
 
 
 def by_one_scale(state: SelectionState, best: Fit) -> Fit | None:
-    """The fit with a thrust scale and a load for two or more effects of the file that are off by one factor.
+    """The fit with a thrust scale and a load for the effects of the file that are off by one factor; None if no better.
 
-    None if no better.
-
-    Of as good fits the one with fewer names is the better, and the one that leaves alone what the file knows where it
-    only guesses mass and thrust.
+    Of as good fits the one with fewer names is the better.  Where the file only guesses mass and thrust, what it knows
+    is left alone for one name more, but not for two: that mass, thrust and inertia are all off alike is less likely
+    than that one drag is.
     """
     open_ones = {c.effect for c in state.point.candidates} - state.excluded
-    if "thrust_scale" in best.effects or not {"thrust_scale", "payload"} <= open_ones:
-        return None
+    is_guessed = {"body.mass_kg", "rotors.max_thrust_n"} <= set(state.start.ranges)
     own = [e for e in best.effects if e not in _OTHERS and has(state.start, e)]
+    if len(own) < (1 if is_guessed else 2) or not {"thrust_scale", "payload"} <= open_ones:
+        return None
+    if "thrust_scale" in best.effects and not is_guessed:
+        return None
     pairs = [(value(state.start, e, p), now) for e in own for p, now in best.effects[e].items()]
     factors = np.array([now / was for was, now in pairs if np.isfinite(was) and was != 0.0])
-    if len(own) < 2 or len(factors) < 2 or np.any(factors <= 0.0):
+    if len(factors) < 2 or np.any(factors <= 0.0):
         return None
-    factor = float(np.median(factors))
-    effects = {e: dict(values) for e, values in best.effects.items() if e not in own}
-    effects["thrust_scale"] = {"scale": 1.0 / factor}
-    mass, load = state.start.mass_kg, best.effects.get("payload", {}).get("mass_kg", 0.0)
-    effects["payload"] = {"mass_kg": (mass + load) / factor - mass}
-    if abs(effects["payload"]["mass_kg"]) < _NOTHING * mass:
-        del effects["payload"]
-    if "inertia" in open_ones:
-        inertia = best.effects.get("inertia", {f"scale_{axis}": 1.0 for axis in "xyz"})
-        effects["inertia"] = {p: scale / factor for p, scale in inertia.items()}
-        if all(abs(scale - 1.0) < _NOTHING for scale in effects["inertia"].values()):
-            del effects["inertia"]
-    is_guessed = {"body.mass_kg", "rotors.max_thrust_n"} <= set(state.start.ranges)
-    if len(effects) > len(best.effects) and not is_guessed:
+    effects = _scaled(state, best, own, float(np.median(factors)))
+    if "inertia" not in open_ones:
+        effects.pop("inertia", None)
+    if len(effects) > len(best.effects) + (1 if is_guessed else 0):
         return None
     vehicle = state.start
     for effect, values in effects.items():
@@ -61,3 +53,23 @@ def by_one_scale(state: SelectionState, best: Fit) -> Fit | None:
     if worse > ALIKE_EVIDENCE or effects_at_bound(state.start, fit, state.rope_most_m):
         return None
     return fit
+
+
+def _scaled(state: SelectionState, best: Fit, own: list[str], factor: float) -> dict[str, dict[str, float]]:
+    """The fit's effects but its own ones of the file, with mass, thrust and inertia as much smaller as those are too
+    great; less what would then be too little to be named."""
+    mass, load = state.start.mass_kg, best.effects.get("payload", {}).get("mass_kg", 0.0)
+    scale = best.effects.get("thrust_scale", {}).get("scale", 1.0) / factor
+    inertia = best.effects.get("inertia", {f"scale_{axis}": 1.0 for axis in "xyz"})
+    tried = {
+        "payload": {"mass_kg": (mass + load) / factor - mass},
+        "thrust_scale": {"scale": scale},
+        "inertia": {p: x / factor for p, x in inertia.items()},
+    }
+    off = {
+        "payload": abs(tried["payload"]["mass_kg"]) / mass,
+        "thrust_scale": abs(scale - 1.0),
+        "inertia": max(abs(x - 1.0) for x in tried["inertia"].values()),
+    }
+    others = {e: dict(values) for e, values in best.effects.items() if e not in own and e not in tried}
+    return others | {e: values for e, values in tried.items() if off[e] >= _NOTHING}
