@@ -115,6 +115,8 @@ def write_text(path: Path, text: str) -> None:
 
 def is_stream(path: Path) -> bool:
     """Whether it is no file of its own: a device, a pipe, what this process has open (/dev/stdout, also with `>`)."""
+    if path.is_relative_to("/dev/shm"):  # a folder in memory like any other
+        return path.exists() and not path.is_file()
     return path.is_relative_to("/dev") or path.is_relative_to("/proc") or (path.exists() and not path.is_file())
 
 

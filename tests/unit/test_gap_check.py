@@ -161,6 +161,16 @@ def test_a_defect_is_named_and_put_right(defect: str) -> None:
         assert np.sqrt(np.mean((a - b) ** 2)) < 3.0 * NOISE.get(name, 0.01), name
 
 
+def test_a_handful_of_samples_in_mg_is_no_traceback() -> None:
+    """Too few for the checks of motion, enough for a unit."""
+    log = _scaled("accel_frd_mps2", 1e3 / 9.80665)(flight())
+    signal = log.signals["accel_frd_mps2"]
+    few = slice(600, None, max(1, (len(signal.t_s) - 600) // 6))
+    sparse = Signal(signal.t_s[few][:7], signal.value[few][:7], signal.source)
+    checked = check(replace(log, signals={**log.signals, "accel_frd_mps2": sparse}), vehicle())
+    assert "accelerometer: was in mg" in texts(checked, "warning")
+
+
 def test_a_sound_log_is_left_as_it_is_even_in_hover_or_in_slow_flight() -> None:
     still = flown(vehicle(), seconds=20.0, seed=1)
     signals = dict(still.signals)

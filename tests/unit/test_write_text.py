@@ -58,3 +58,9 @@ def test_a_file_that_is_open_is_written_to_and_not_replaced(tmp_path: Path) -> N
 def test_a_folder_in_the_place_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="Is a directory"):
         files.write_text(tmp_path, "told")
+
+
+def test_a_file_in_memory_is_a_file(tmp_path: Path) -> None:
+    """/dev/shm: the second JSON of a flight, which knows of its page, was left away there."""
+    assert not files.is_stream(Path("/dev/shm") / tmp_path.name)
+    assert files.is_stream(Path("/dev/stdout"))

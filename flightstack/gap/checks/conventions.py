@@ -116,7 +116,7 @@ def _accelerometer(out: dict[str, Signal], span_s: tuple[float, float], findings
 
 def _milli_g(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:
     """One g is 1000 mg and 981 cm/s^2: which it was says the mean of what is felt upwards, tilt taken out."""
-    if not {"q_ned_frd", "vel_ned_mps"} <= set(seen.columns):
+    if not {"q_ned_frd", "vel_ned_mps", "accel_frd_mps2"} <= set(seen.columns):
         return seen
     fallen = float(seen["vel_ned_mps"][-1, 2] - seen["vel_ned_mps"][0, 2]) / float(seen.t_s[-1] - seen.t_s[0])
     up = -float(rotate(seen["q_ned_frd"], seen["accel_frd_mps2"])[:, 2].mean())
