@@ -27,7 +27,7 @@ from mavlink_bridge.last_word import companion_record, hover_at, state_now
 from mavlink_bridge.link import Link
 from mavlink_bridge.notes import BrokenPremise, GuardNotes, Swinging
 from mavlink_bridge.onlookers import MissionPlanner, Observer
-from mavlink_bridge.requests import DISARM, CommandQueue, set_mode, stream_requests
+from mavlink_bridge.requests import DISARM, FLOWN_BY, CommandQueue, set_mode, stream_requests
 from mavlink_bridge.stalls import Stalls
 from mavlink_bridge.vehicle_params import remarks
 from mavlink_bridge.vehicle_view import VehicleView
@@ -183,8 +183,8 @@ class Companion:
             self._rest_ned_m += (measured.pos_ned_m - self._rest_ned_m) / self._rested
         lost = stale(measured, self._stack.limits)
         now.fresh, now.catching_up = not lost, self._watch.pace.has_slept(now_us)
-        if lost and now.state is State.OFFBOARD:
-            self._commands.renew(now_us)
+        if now.state is State.OFFBOARD and (lost or self._watch.aid.is_silent(now_us)):
+            self._commands.renew(FLOWN_BY if lost else (m.GpsRawInt,), now_us)
         (now.unfit, now.trouble), self.view.stood_us = self._watch.judge(), self._watch.stood_us
         if now.dead_man_lost and self.view.params.needs_dead_man:
             now.trouble = now.trouble or "dead-man-lost"

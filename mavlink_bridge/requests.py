@@ -31,6 +31,7 @@ STREAMS: tuple[tuple[type, int], ...] = (
     (m.CurrentMode, 20_000),  # a change of mode is seen within 20 ms, by the dead-man too; HEARTBEAT takes up to 1 s
     (m.ExtendedSysState, 100_000),
     (m.EstimatorStatus, 200_000),
+    (m.GpsRawInt, 200_000),  # whether there are satellites; a vehicle without a receiver sends none
     (m.GlobalPositionInt, 200_000),  # for the map only
     (m.Attitude, -1),  # the quaternion says the same
     (m.Odometry, 40_000),  # for its reset counter alone; position and attitude come on their own, faster
@@ -38,7 +39,7 @@ STREAMS: tuple[tuple[type, int], ...] = (
 """The streams that the companion asks for: message, interval in us (-1: off)."""
 
 
-_FLOWN_BY = (m.AttitudeQuaternion, m.HighresImu, m.LocalPositionNed)
+FLOWN_BY = (m.AttitudeQuaternion, m.HighresImu, m.LocalPositionNed)
 """The streams without which nobody flies."""
 DISARM: Request = (px4.Cmd.COMPONENT_ARM_DISARM, (0.0,))
 
@@ -113,11 +114,11 @@ class CommandQueue:
         """Ask who the vehicle is, for as long as the caller keeps asking: on its answer hangs the whole flight."""
         self.ensure((px4.Cmd.REQUEST_MESSAGE, (float(m.id_of(m.AutopilotVersion)),)), now_us, _ANSWER_TIMEOUT_US)
 
-    def renew(self, now_us: int) -> None:
-        """A stream that a flight goes by does not come as asked for: another station on this link may have set it."""
+    def renew(self, messages: tuple[type, ...], now_us: int) -> None:
+        """Rows of `STREAMS` that do not come as asked for: another station on this link may have set them."""
         if now_us - self._renewed_us >= _RENEW_US:
             self._renewed_us = now_us
-            for message in _FLOWN_BY:
+            for message in messages:
                 self.insist(again(message))
 
     def forget(self, command: int) -> None:

@@ -293,7 +293,7 @@ class ShieldRouter:
             self._stamps.add(now_us * 1000)
             self.link.send(m.Timesync(0, now_us * 1000, self.system, px4.COMPONENT_AUTOPILOT))
         self.view.params.ask(self.link, self.system, now_us)
-        self._streams.ask(now_us, lacks_place=self._globe is None)
+        self._streams.ask(now_us, lacks_place=self._globe is None, lacks_fixes=self._aid.is_silent(now_us))
 
     def _fly(self, now_us: int) -> None:
         t_us = self._t_us = self.view.clock.vehicle_us(now_us)

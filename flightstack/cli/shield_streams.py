@@ -11,10 +11,11 @@ from mavlink_bridge.requests import CommandQueue
 from mavlink_bridge.vehicle_view import VehicleView
 
 _STREAMS = ((m.AttitudeQuaternion, 4_000), (m.LocalPositionNed, 8_000), (m.HighresImu, 4_000), (m.CurrentMode, 20_000),
-            (m.ExtendedSysState, 100_000))  # fmt: skip
+            (m.ExtendedSysState, 100_000), (m.GpsRawInt, 200_000))  # fmt: skip
 _NEEDED_US = {m.id_of(kind): interval_us for kind, interval_us in _STREAMS}
 _AGAIN_US = 2_000_000
 _SLOW_US = 30_000
+_FIXES_AGAIN_US = 1_000_000
 COMMAND_IDS = frozenset(map(m.id_of, (m.CommandLong, m.CommandInt)))
 
 
@@ -23,7 +24,7 @@ class ShieldStreams:
 
     def __init__(self, view: VehicleView, commands: CommandQueue) -> None:
         self._view, self._commands = view, commands
-        self._asked_us = -1_000_000_000
+        self._asked_us = self._requested_us = -1_000_000_000
         self._is_slowed = False
 
     def note(self, command: Any) -> None:
@@ -34,9 +35,10 @@ class ShieldStreams:
         needed_us = _NEEDED_US.get(int(number)) if math.isfinite(number) else None
         self._is_slowed |= needed_us is not None and not 0.0 < interval_us <= needed_us
 
-    def ask(self, now_us: int, *, lacks_place: bool) -> None:
-        """Before each step of the commands; `lacks_place`: where the local frame lies is not known yet."""
-        if self._is_slowed:
+    def ask(self, now_us: int, *, lacks_place: bool, lacks_fixes: bool) -> None:
+        """Before each step of the commands; `lacks_place`: where the local frame lies is not known yet;
+        `lacks_fixes`: nothing is heard of the satellites any more."""
+        if self._is_slowed or (lacks_fixes and now_us - self._requested_us >= _FIXES_AGAIN_US):
             self._is_slowed = False
             self._request(now_us)
         if now_us - self._asked_us < _AGAIN_US:
@@ -49,6 +51,7 @@ class ShieldStreams:
             self._request(now_us)
 
     def _request(self, now_us: int) -> None:
+        self._requested_us = now_us
         for kind, interval_us in _STREAMS:
             what = (float(m.id_of(kind)), float(interval_us))
             self._commands.request((px4.Cmd.SET_MESSAGE_INTERVAL, what), now_us)

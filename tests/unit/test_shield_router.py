@@ -240,12 +240,7 @@ def test_a_router_that_sees_nothing_any_more_says_nothing_so_that_the_dead_man_a
     """The streams stop, not by the program, whose word would be noticed: setpoints on an old attitude are worse than
     none."""
     assert (rig.router.flies, rig.router.has_spoken) == (True, True)
-    somebody = Link(200, 1)
-    for name in (m.AttitudeQuaternion, m.HighresImu, m.LocalPositionNed):
-        given = float(m.id_of(name)), -1.0, *(float("nan"),) * 5
-        somebody.send(m.CommandLong(1, 1, int(px4.Cmd.SET_MESSAGE_INTERVAL), 0, given))
-    for data in somebody.datagrams_to_send():
-        rig.server.receive(0, data)
+    rig.stop(m.AttitudeQuaternion, m.HighresImu, m.LocalPositionNed)
     rig.run(0.16)
     assert (rig.router.flies, rig.router.has_spoken) == (True, False)
     record = rig.router.last_word(0)
@@ -293,8 +288,7 @@ def test_where_satellites_are_lost_and_the_estimate_is_the_worse_the_program_is_
     rig: Rig, worse: float, obeyed: bool
 ) -> None:
     """A site means nothing by an estimate that runs away; beside motion capture nobody misses satellites."""
-    for kind in (m.GpsRawInt, m.EstimatorStatus):  # the vehicle's own end, others are told in their place
-        rig.command(px4.Cmd.SET_MESSAGE_INTERVAL, float(m.id_of(kind)), -1.0)
+    rig.stop(m.GpsRawInt, m.EstimatorStatus)  # the vehicle's own; others are told in their place
     told, fix, accuracy_m = Link(1, 1), 3, 0.29
 
     def say() -> m.SetPositionTargetLocalNed:
@@ -313,6 +307,17 @@ def test_where_satellites_are_lost_and_the_estimate_is_the_worse_the_program_is_
     assert rig.router.view.in_offboard is obeyed
     assert obeyed or rig.router.view.custom_mode == px4.MODE_HOLD
     assert rig.router.score.handed_over is not obeyed
+
+
+def test_fixes_that_another_station_has_stopped_are_asked_for_again(rig: Rig) -> None:
+    """Satellites that nobody tells of can't be seen to be lost."""
+    rig.run(0.5)
+    rig.stop(m.GpsRawInt)
+    rig.heard.clear()
+    rig.run(1.0)
+    assert not [message for message in rig.heard if isinstance(message, m.GpsRawInt)]
+    rig.run(1.0)
+    assert [message for message in rig.heard if isinstance(message, m.GpsRawInt)]
 
 
 REPLACED = int(os.environ.get("FLIGHTSTACK_REPLACED", "12"))
