@@ -92,11 +92,13 @@ def whiten(taps: F64, values: F64, channel: int, rows: NDArray[np.int64], out: F
                 total += taps[k] * values[rows[r] - k, channel, 0]
             out[r, 0] = total
         return
-    out[:] = 0.0
     for r in range(len(rows)):
+        filtered = out[r]  # rows of their own: indexed whole, each product took four to eight times as long
+        filtered[:] = 0.0
         for k in range(len(taps)):
-            for j in range(out.shape[1]):
-                out[r, j] += taps[k] * values[rows[r] - k, channel, j]
+            tap, row = taps[k], values[rows[r] - k, channel]
+            for j in range(len(filtered)):
+                filtered[j] += tap * row[j]
 
 
 def whole_windows(ok: Mask, order: int) -> Mask:
