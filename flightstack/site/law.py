@@ -25,6 +25,7 @@ import math
 from flightstack.jit import njit
 
 ASKED_SHARE, TURN_SHARE, LEAD_S, SEEN_SHARE = 0.5, 0.5, 0.05, 0.85
+_SURELY = 0.99
 PLACE_SHARE, TURN_PER_POLE = 0.5, 3.0
 """Gains by one pole p: lean p e_v + PLACE_SHARE p^2 e_p, turned towards at TURN_PER_POLE p."""
 
@@ -32,6 +33,8 @@ PLACE_SHARE, TURN_PER_POLE = 0.5, 3.0
 @njit
 def asked(lin_mps2: float, vel_ps: float, snap_mps4: float) -> float:
     """Of a lean that the linear loop asks for, the share that is asked for; vel_ps: lean by speed."""
+    if 1e-6 < lin_mps2 < _SURELY * ASKED_SHARE**3 * snap_mps4 / (vel_ps * vel_ps):
+        return 1.0  # nearly always: a power takes as long as a whole step of the loop otherwise does
     most = ASKED_SHARE * snap_mps4 ** (1.0 / 3.0) * (lin_mps2 / vel_ps) ** (2.0 / 3.0)
     return min(1.0, most / max(lin_mps2, 1e-9))  # type: ignore[no-any-return]
 

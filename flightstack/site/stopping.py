@@ -238,6 +238,7 @@ def stopping(
         _stepped(ledger, told),
         *doubts[0][1:],
     )
+    _require_thrust(vehicle, model, prior, high)  # before what takes seconds
     tubes = resting(lags_across, doubts[0], held), along(lag_along, doubts[1])
     slow, fast, fade_ps, stoppable = _WAY_CALM if prior.force_g <= _CALM_G else _WAY
     turn = turn._replace(way_mps4=slow * turn.sure_mps4, way_fast_mps4=fast * turn.sure_mps4)
@@ -252,7 +253,6 @@ def stopping(
         (told.force * force + told.model * MODEL_ALONG_MPS2) / G, doubts,
         (lags_across, (lag_along, 0.0)), high, least, turn,
     )  # fmt: skip
-    _require_thrust(vehicle, model, prior, high)
     for row, each in zip(made.rows, made.soft, strict=True):
         each[slide.SLOW_S] = _slow_s(row, made.halves()[1]) + _SMOOTH_LATE_S
         each[slide.SLOW_S] += (row[b.MOST_RADIUS] - row[b.REST_RADIUS]) / b.MUCH_MPS

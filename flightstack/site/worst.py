@@ -34,7 +34,7 @@ _INPUTS = 8
 _FORCE, _REST, _EP, _EV = range(0, _INPUTS, 2)
 _TURN = _J
 """Of a way, whose rows begin as a state does."""
-_VEL_PS, _POS_PS2, _TURN_PS, _LAG_S, _ROTORS_S, _LATE_S = range(6)
+_ROTORS_S = 4
 _MOST_EV = 3
 """Of a `Loop` as compiled functions take it; of the greatest sizes."""
 Spare = tuple[F64, F64, F64, F64, F64, F64]
@@ -88,11 +88,13 @@ class Closed(NamedTuple):
 
 
 @njit
-def _snap_asked(x: F64, u: F64, at: F64, loop: F64, held: F64, out: F64) -> None:
-    """What the snap goes to, (2,), within what there is."""
-    vel_ps, pos_ps2, turn_ps = loop[_VEL_PS], loop[_POS_PS2], loop[_TURN_PS]
-    lag, rotors, late = loop[_LAG_S], loop[_ROTORS_S], loop[_LATE_S]
-    snap, lean, fastest = held[0], held[1], held[2]
+def _snap_asked(
+    x: F64, u: F64, at: F64, loop: tuple[float, float, float, float, float, float], held: tuple[float, float, float]
+) -> tuple[float, float]:  # fmt: skip
+    """What the snap goes to (north, east), within what there is; of `Loop` and `Held` the numbers themselves, which
+    what is written to states can't change: their powers and quotients are worked out once for all steps."""
+    vel_ps, pos_ps2, turn_ps, lag, rotors, late = loop
+    snap, lean, fastest = held
     north = vel_ps * (at[_V] - x[_V] - u[_EV]) + pos_ps2 * (at[_P] - x[_P] - u[_EP])
     east = vel_ps * (at[_V + 1] - x[_V + 1] - u[_EV + 1]) + pos_ps2 * (at[_P + 1] - x[_P + 1] - u[_EP + 1])
     share = asked(math.sqrt(north * north + east * east), vel_ps, snap)
@@ -101,23 +103,23 @@ def _snap_asked(x: F64, u: F64, at: F64, loop: F64, held: F64, out: F64) -> None
     north, east = cut * north - x[_A], cut * east - x[_A + 1]
     short = max(math.sqrt(north * north + east * east), 1e-9)
     turn = min(turn_towards(short, turn_ps, snap, late), fastest) / short
-    north, east = snap_asked(
+    return snap_asked(
         (at[_TURN] + turn * north, at[_TURN + 1] + turn * east),
         (x[_J], x[_J + 1]),
         (x[_S], x[_S + 1]),
         snap,
         (lag, rotors),
     )
-    out[0], out[1] = north, east
 
 
 @njit
 def _run(way: F64, inputs: F64, loop: F64, held: F64, states: F64) -> None:
     """From states[0] on, in steps of STEP_S."""
-    snap, follows = np.empty(2), 1.0 - math.exp(-STEP_S / loop[_ROTORS_S])
+    follows = 1.0 - math.exp(-STEP_S / loop[_ROTORS_S])
+    of, within = (loop[0], loop[1], loop[2], loop[3], loop[4], loop[5]), (held[0], held[1], held[2])
     for k in range(len(inputs)):
         x, y, u = states[k], states[k + 1], inputs[k]
-        _snap_asked(x, u, way[k], loop, held, snap)
+        snap = _snap_asked(x, u, way[k], of, within)
         for i in range(2):
             y[_S + i] = x[_S + i] + follows * (snap[i] - x[_S + i])
             y[_O + i] = x[_O + i] + STEP_S / OBSERVER_S * (u[i] - x[_O + i])
@@ -142,11 +144,13 @@ def _cut(x: tuple[float, float], most: float) -> tuple[float, float]:
 
 
 @njit
-def _snap_climbed(x: F64, u: F64, at: F64, loop: F64, held: F64, g: tuple[float, float], out: F64) -> None:
+def _snap_climbed(
+    x: F64, u: F64, at: F64, loop: tuple[float, float, float, float, float, float], held: tuple[float, float, float],
+    g: tuple[float, float], out: F64,
+) -> None:  # fmt: skip
     """The gradient by `_snap_asked` (2,) taken back to its state, into `out` (12,): every step is along a vector."""
-    vel_ps, pos_ps2, turn_ps = loop[_VEL_PS], loop[_POS_PS2], loop[_TURN_PS]
-    lag, rotors, late = loop[_LAG_S], loop[_ROTORS_S], loop[_LATE_S]
-    snap, lean, fastest = held[0], held[1], held[2]
+    vel_ps, pos_ps2, turn_ps, lag, rotors, late = loop
+    snap, lean, fastest = held
     lin = (
         vel_ps * (at[_V] - x[_V] - u[_EV]) + pos_ps2 * (at[_P] - x[_P] - u[_EP]),
         vel_ps * (at[_V + 1] - x[_V + 1] - u[_EV + 1]) + pos_ps2 * (at[_P + 1] - x[_P + 1] - u[_EP + 1]),
@@ -186,6 +190,7 @@ def _climbed(way: F64, inputs: F64, loop: F64, held: F64, states: F64, toward: F
     """The gradient of the place along `toward` (2,) after the last row of `uphill`, by each input there into it (n, 8),
     and by the first state, returned (12,): backwards in time."""
     follows, seen = 1.0 - math.exp(-STEP_S / loop[_ROTORS_S]), STEP_S / OBSERVER_S
+    of, within = (loop[0], loop[1], loop[2], loop[3], loop[4], loop[5]), (held[0], held[1], held[2])
     g, change = np.zeros(_STATE), np.empty(_STATE)
     g[_P], g[_P + 1] = toward[0], toward[1]
     for k in range(len(uphill) - 1, -1, -1):
@@ -198,7 +203,7 @@ def _climbed(way: F64, inputs: F64, loop: F64, held: F64, states: F64, toward: F
             g[_A + i] += STEP_S * g[_V + i]
             g[_V + i] += STEP_S * g[_P + i]
             g[_O + i] *= 1.0 - seen
-        _snap_climbed(states[k], inputs[k], way[k], loop, held, by_snap, change)
+        _snap_climbed(states[k], inputs[k], way[k], of, within, by_snap, change)
         for i in range(_STATE):
             g[i] += change[i]
         uphill[k, 4:8] = change[:_A]  # an error of the estimate is felt as that of the state

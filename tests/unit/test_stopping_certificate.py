@@ -86,7 +86,7 @@ def _turning(count: int) -> list[tuple[complex, complex, complex]]:
 
 
 def _left_and_claimed(made: StoppingCertificate, row: F64, motions: Sequence[tuple[complex, ...]]) -> tuple[F64, F64]:
-    """How far ways are left by the checker's own search, and the product's radius; infinite where there is no way."""
+    """How far ways are left by the checker's own search, and the product's radius."""
     across = made.across.gains
     way = left.Way(*(float(row[at]) for at in _WAY.values()))
     loop = left.Loop(
@@ -97,6 +97,11 @@ def _left_and_claimed(made: StoppingCertificate, row: F64, motions: Sequence[tup
     found = left.left(
         [left.laid_out(way, loop, *motion) for motion in motions], loop, np.array([force, *made.doubts[0][1:]])
     )
+    return found, _claimed(row, motions)
+
+
+def _claimed(row: F64, motions: Sequence[tuple[complex, ...]]) -> F64:
+    """Radii by a row of the product; infinite where there is no way."""
     claimed, points, laid = [], np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
     for speed, lean, *turns in motions:
         start = np.zeros(backup.ROW)
@@ -106,7 +111,7 @@ def _left_and_claimed(made: StoppingCertificate, row: F64, motions: Sequence[tup
             start[JERK_N : JERK_E + 1] = start[backup.ASKED_N : backup.ASKED_N + 2] = turns[0].real, turns[0].imag
         count = backup.roll(start, row, np.zeros(backup.STEPS), points, laid)
         claimed.append(float(np.min(laid[:count, WAY_RADIUS])) if count else np.inf)
-    return found, np.array(claimed)
+    return np.array(claimed)
 
 
 KINDS = [(Prior(), 0), (Prior(), 4), (Prior(), -1), (Prior(0.94, 1.08, 0.05), 0)]
@@ -132,7 +137,7 @@ def test_a_way_that_begins_turning_keeps_its_tube(prior: Prior, at: int) -> None
     assert np.all(found[is_way] < claimed[is_way]), (found, claimed)
     row = made.rows[at].copy()
     row[backup.PER_TURN] = 0.0
-    before = _left_and_claimed(made, row, motions)[1]
+    before = _claimed(row, motions)
     assert np.array_equal(np.isfinite(before), is_way)
     assert np.any(found[is_way] > before[is_way])
 
