@@ -20,6 +20,7 @@ from flightstack.gp import (
     affine_in,
     least_relevant,
     log_marginal_likelihood,
+    program,
 )
 from flightstack.imu_bias import ImuBias
 from flightstack.model import Model
@@ -52,8 +53,15 @@ def processes() -> None:
         process = RecursiveGP(kernel, 0.01, input_dim=2, output_dim=1, capacity=5)
         process.add(x, y)
         process.predict(x[0])
+        process.rebuild()
         process.remove(least_relevant(process, x[1]))
         log_marginal_likelihood(kernel, 0.01, x, y)
+        flat, lines = kernel.program(2), np.empty((2, len(x)))
+        program.gradient(flat, x, np.eye(len(x)))
+        work = np.empty((program.WORK_ROWS, len(x)))
+        program.row(
+            (flat.ints, flat.floats), np.ascontiguousarray(x.T), len(x), (x[0], x[1]), work, (lines[0], lines[1]), True
+        )
 
 
 def small_ones() -> None:

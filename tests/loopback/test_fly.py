@@ -75,10 +75,10 @@ GPS_TOO = ("figure8",)
 """Flown with GPS by `make test` as well: the others' legs are of the same kinds, gps-barrier is flown elsewhere."""
 RARER = (
     "excite-low-pass", "excite-rate-doublets", "excite-thrust-chirp", "excite-yaw-at-speed", "paper-barrier",
-    "payload-drop", "steady-wind",
+    "paper-tracking", "payload-drop", "steady-wind",
 )  # fmt: skip
-"""Left to `make thorough`: `test_excite.py` has the first four in memory, `test_barrier_flights.py` and
-`test_learning_flights.py` fly the next two, `rotor-drag` is of the last one's kind."""
+"""Left to `make thorough`: `test_excite.py` has the first four in memory, `test_barrier_flights.py` flies the next two
+(12 s of the path, with its page), `test_learning_flights.py` the drop, `rotor-drag` is of the last one's kind."""
 SHIPPED = files.shipped_names("scenarios")
 GPS_ONLY = "gps-barrier"
 """Its region is made for those sensors, and its climb of 20 m is the longest."""

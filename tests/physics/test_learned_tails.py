@@ -44,7 +44,7 @@ def misses(task: str, seed: int) -> F64:
 @pytest.mark.parametrize(
     ("task", "seeds", "most"),
     [
-        ("hover", range(200, 208 if THOROUGH else 202), MOST),
+        thorough("hover", range(200, 208), MOST),
         ("figure8", range(200, 203 if THOROUGH else 201), MOST),
         thorough("steady-wind", range(200, 203), MOST),
         thorough("rotor-drag", range(200, 206), LIFT),

@@ -21,6 +21,7 @@ from flightstack.testkit.fleet import Fleet
 from flightstack.testkit.px4_sim import Px4Options
 from flightstack_sim.plant import NativePlant
 from tests.simulator import ENVIRONMENT
+from tests.thorough import thorough
 
 pytest_plugins = ["pytester"]
 TAKEOFF, ARM = 22, 400
@@ -234,7 +235,7 @@ def test_body_rates_are_flown_by_px4s_rate_loop() -> None:
     assert truth.rate_frd_radps[2] == pytest.approx(0.5, abs=0.1)
 
 
-@pytest.mark.parametrize("degc", [40.0, -20.0])
+@pytest.mark.parametrize("degc", [thorough(40.0), -20.0])
 def test_thrust_goes_with_the_airs_density_and_sensors_tell_its_temperature(
     px4_fleet: Callable[[int], Fleet], degc: float
 ) -> None:

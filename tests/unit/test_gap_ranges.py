@@ -19,6 +19,7 @@ from flightstack.gap.workflow import analyse
 from flightstack.vehicle import Vehicle, with_effects
 from tests import gap_batch as batch
 from tests.gap_flights import quad
+from tests.thorough import thorough
 
 MASS, THRUST = 1.2, 0.85
 
@@ -74,7 +75,7 @@ def test_guessed_numbers_are_corrected_with_intervals_as_wide_as_their_common_sc
     assert hidden.estimate == hidden.before
 
 
-@pytest.mark.parametrize(("inertia", "thrust"), [(1.16, 1.16), (1.16, 1.13)])
+@pytest.mark.parametrize(("inertia", "thrust"), [thorough(1.16, 1.16), (1.16, 1.13)])
 def test_drags_of_the_file_weigh_the_vehicle_where_its_mass_and_thrust_are_guessed(
     inertia: float, thrust: float
 ) -> None:
