@@ -47,7 +47,7 @@ class RecursiveGP:
     """
 
     __slots__ = (
-        "_answer", "_arrays", "_count", "_leaving", "_program", "_query", "_rate", "_real", "_rows", "_state", "_value",
+        "_arrays", "_count", "_leaving", "_program", "_query", "_real", "_rows", "_state", "_value",
         "_x_shape", "_y_shape", "capacity", "input_dim", "kernel", "noise_var", "output_dim",
     )  # fmt: skip
 
@@ -86,8 +86,8 @@ class RecursiveGP:
         self._real[store.TOLERANCE] = number(tolerance, "tolerance", 0.0, 1e9)
         self._real[store.reals_needed(d, p) :] = program.floats
         self._arrays = (aligned(2, triangle(size)), self._rows, self._state, self._real)
-        parts = np.split(self._real[store.QUERY : store.reals_needed(d, p)], np.cumsum([d, d, d, p]))
-        self._query, self._rate, _, self._value, self._answer = parts
+        parts = np.split(self._real[store.QUERY : store.reals_needed(d, p)], np.cumsum([d, d, d]))
+        self._query, _, _, self._value = parts
         self._x_shape, self._y_shape = (d,), (p,)
         self.restart(noise_var)
 
@@ -170,12 +170,9 @@ class RecursiveGP:
         Without points, or far from them, that is zero and the prior variance.  NaN where x isn't finite.
         """
         if type(x) is np.ndarray and x.shape == self._x_shape:
-            if self._leaving >= 0:
-                self._settle()
-            self._query[:] = x
-            update.PREDICT.call(*self._arrays)
-            answer = self._answer.copy()
-            return answer[: self.output_dim], answer[self.output_dim :]
+            answer = np.empty((2, self.output_dim))
+            answer[1] = self.predict_into(np.ascontiguousarray(x, np.float64), answer[0])
+            return answer[0], answer[1]
         xs = np.asarray(x, np.float64)
         if xs.ndim == 1:
             return self.predict(self._shaped(xs, self._x_shape, "x"))
@@ -184,18 +181,28 @@ class RecursiveGP:
         mean, variance = (np.reshape([pair[i] for pair in pairs], shape) for i in (0, 1))
         return mean, variance
 
+    def predict_into(self, x: F64, mean: F64) -> float:
+        """`predict` for callers in a hurry: the mean at x (D,) into `mean` (P,), both contiguous; the variance."""
+        if self._leaving >= 0:
+            self._settle()
+        variance: float = update.PREDICT.call(x, mean, *self._arrays)
+        return variance
+
     def predict_along(self, x: F64 | Sequence[float], x_rate: F64 | Sequence[float]) -> tuple[F64, F64]:
         """Mean (P,) at x (D,), and its time derivative (P,) where x moves at x_rate (D,); much cheaper than `predict`.
 
         NaN where either isn't finite.
         """
+        mean, mean_rate = np.empty((2, self.output_dim))
+        at, along = self._shaped(x, self._x_shape, "x"), self._shaped(x_rate, self._x_shape, "x_rate")
+        self.predict_along_into(np.ascontiguousarray(at), np.ascontiguousarray(along), mean, mean_rate)
+        return mean, mean_rate
+
+    def predict_along_into(self, x: F64, x_rate: F64, mean: F64, mean_rate: F64) -> None:
+        """`predict_along` for callers in a hurry: into `mean` and `mean_rate` (P,), all four contiguous."""
         if self._leaving >= 0:
             self._settle()
-        self._query[:] = self._shaped(x, self._x_shape, "x")
-        self._rate[:] = self._shaped(x_rate, self._x_shape, "x_rate")
-        update.ALONG.call(self._rows, self._state, self._real)
-        answer = self._answer.copy()
-        return answer[: self.output_dim], answer[self.output_dim :]
+        update.ALONG.call(x, x_rate, mean, mean_rate, self._rows, self._state, self._real)
 
     def prior_variance(self, x: F64 | Sequence[float]) -> float:
         """k(x, x): the variance at x (D,) before any point."""

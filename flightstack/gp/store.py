@@ -55,7 +55,7 @@ def rows_needed(inputs: int, outputs: int) -> int:
 
 def reals_needed(inputs: int, outputs: int) -> int:
     """Length of `real` before the kernel's floats."""
-    return QUERY + 3 * inputs + 3 * outputs
+    return QUERY + 3 * inputs + outputs
 
 
 @njit
@@ -63,7 +63,7 @@ def kernel_of(rows: F64, state: I64, real: F64) -> tuple[I64, F64, F64]:
     """The kernel's program and the points (D, places)."""
     d, outputs = state[INPUTS], state[OUTPUTS]
     ints = state[ORDER + 2 * state[CAPACITY] :]
-    floats = real[QUERY + 3 * d + 3 * outputs :]
+    floats = real[QUERY + 3 * d + outputs :]
     return ints, floats, rows[POINTS : POINTS + d]
 
 

@@ -40,39 +40,38 @@ _REST_STEPS = 100
 
 
 @njit
-def predict(squares: F64, rows: F64, state: I64, real: F64) -> bool:
-    """Mean and variance at the query into `real`; False where the query isn't finite (NaN)."""
+def predict(x: F64, mean: F64, squares: F64, rows: F64, state: I64, real: F64) -> float:
+    """Mean (P,) at x (D,) into `mean`, and the variance there; NaN where x isn't finite."""
+    d, outputs = state[store.INPUTS], state[store.OUTPUTS]
+    real[store.QUERY : store.QUERY + d] = x
     if not _admissible(rows, state, real):
-        _answer_nothing(state, real)
-        return False
+        mean[:] = np.nan
+        return math.nan
     _solve(squares, rows, state, real, True)
-    d, outputs, size = state[store.INPUTS], state[store.OUTPUTS], state[store.HIGH]
-    first, mean = store.POINTS + d, store.QUERY + 3 * d + outputs
+    first, size = store.POINTS + d, state[store.HIGH]
     for p in range(outputs):
-        real[mean + p] = store.dot(rows[store.PRODUCT], rows[first + p], size)
+        mean[p] = store.dot(rows[store.PRODUCT], rows[first + p], size)
         if state[store.UNCHECKED] == 0:
-            real[mean + p] += store.dot(rows[store.RESIDUAL], rows[first + outputs + p], size)
-        real[mean + outputs + p] = real[store.VARIANCE]
-    return True
+            mean[p] += store.dot(rows[store.RESIDUAL], rows[first + outputs + p], size)
+    return float(real[store.VARIANCE])
 
 
 @njit
-def predict_along(rows: F64, state: I64, real: F64) -> bool:
-    """Mean at the query and its time derivative along the rate; False where either isn't finite (NaN)."""
-    d, size = state[store.INPUTS], state[store.HIGH]
-    if not store.finite(real, store.QUERY, 2 * d):
-        _answer_nothing(state, real)
-        return False
-    ints, floats, points = store.kernel_of(rows, state, real)
+def predict_along(x: F64, x_rate: F64, mean: F64, mean_rate: F64, rows: F64, state: I64, real: F64) -> None:
+    """Mean (P,) at x (D,) and its time derivative along `x_rate`; NaN where either isn't finite."""
+    d, outputs, size = state[store.INPUTS], state[store.OUTPUTS], state[store.HIGH]
     query, rate = real[store.QUERY : store.QUERY + d], real[store.QUERY + d : store.QUERY + 2 * d]
+    query[:], rate[:] = x, x_rate
+    if not store.finite(real, store.QUERY, 2 * d):
+        mean[:] = mean_rate[:] = np.nan
+        return
+    ints, floats, points = store.kernel_of(rows, state, real)
     work = rows[store.WORK : store.WORK + program.WORK_ROWS]
     program.row((ints, floats), points, size, (query, rate), work, (rows[store.UNUSED], rows[store.RATE]), True)
-    mean = store.QUERY + 3 * d + state[store.OUTPUTS]
-    first, outputs = store.POINTS + d + state[store.OUTPUTS], state[store.OUTPUTS]
+    first = store.POINTS + d + outputs
     for p in range(outputs):
-        real[mean + p] = store.dot(rows[store.UNUSED], rows[first + p], size)
-        real[mean + outputs + p] = store.dot(rows[store.RATE], rows[first + p], size)
-    return True
+        mean[p] = store.dot(rows[store.UNUSED], rows[first + p], size)
+        mean_rate[p] = store.dot(rows[store.RATE], rows[first + p], size)
 
 
 @njit
@@ -117,13 +116,6 @@ def _insert(squares: F64, rows: F64, state: I64, real: F64) -> None:
     u[place] = -1.0
     store.queue(rows, state, u, 1.0 / pivot)
     state[store.STEPS] += 1
-
-
-@njit
-def _answer_nothing(state: I64, real: F64) -> None:
-    """Mean and variance or rate become NaN."""
-    first = store.QUERY + 3 * state[store.INPUTS] + state[store.OUTPUTS]
-    real[first : first + 2 * state[store.OUTPUTS]] = np.nan
 
 
 @njit_called
@@ -266,6 +258,6 @@ def least_covariant(rows: F64, state: I64, real: F64) -> int:
     return best
 
 
-PREDICT = Entry(predict, "f8[:, ::1], f8[:, ::1], i8[::1], f8[::1]")
-ALONG = Entry(predict_along, "f8[:, ::1], i8[::1], f8[::1]")
+PREDICT = Entry(predict, "f8[::1], f8[::1], f8[:, ::1], f8[:, ::1], i8[::1], f8[::1]")
+ALONG = Entry(predict_along, "f8[::1], f8[::1], f8[::1], f8[::1], f8[:, ::1], i8[::1], f8[::1]")
 ENTER = Entry(enter, "f8[:, ::1], f8[:, ::1], i8[::1], f8[::1], i8")

@@ -22,6 +22,7 @@ from flightstack.rows import (
     L_DELAY,
     L_FED,
     L_GAIN,
+    L_GAIN_SIGMA,
     L_LATENCY,
     L_POINTS,
     L_REFUSED,
@@ -111,11 +112,12 @@ def fits(sample: F64, most: float) -> bool:
 def assemble(
     limits: F64, query: F64, looked: F64, carry_s: float, forward: F64, weight: float, stage: int, sample: F64,
     expected: F64, variance: F64, fit: int, rate_mean: F64, rate_sigma: F64, points: int, fed: int, refused: int,
-    changes: int, surprise: float, fed_forward: F64, usual_thrust: float, row: F64,
+    changes: int, surprise: float, fed_forward: F64, usual_thrust: float, gain_variance: float, excess: F64, row: F64,
 ) -> None:  # fmt: skip
     """A Learned row (33,): feed-forward at the reference, residual at the state, counters.
 
-    What was `looked` up ahead, (2, 4), is carried along over `carry_s`, into `forward`.
+    What was `looked` up ahead, (2, 4), is carried along over `carry_s`, into `forward`; `excess` (1,): the vertical
+    store's.
     """
     carried(looked, carry_s, forward)
     most, gain_least, gain_most = limits[0], limits[1], limits[2]
@@ -149,6 +151,8 @@ def assemble(
     row[L_SIGMA] = math.sqrt(c * c * told[0] + sine * sine * told[1])
     row[L_SIGMA + 1] = math.sqrt(c * c * told[1] + sine * sine * told[0])
     row[L_SIGMA + 2] = math.sqrt(told[2])
+    gain_sigma = INFLATION * math.sqrt(gain_variance + excess[0])
+    row[L_GAIN_SIGMA] = (gain_sigma if gain_sigma > row[L_SIGMA + 2] else row[L_SIGMA + 2]) / STANDARD_GRAVITY_MPS2
     for i in range(3):
         row[15 + i] = sample[s.S_TARGET_FRD + i] if fit else math.nan
     row[L_APPLIED] = sample[s.S_APPLIED]
@@ -169,5 +173,5 @@ WEIGHED = Entry(weighed, "f8[::1], f8, f8[::1], UniTuple(f8[::1], 2), f8[::1], U
 ASSEMBLE = Entry(
     assemble,
     "f8[::1], f8[:, ::1], f8[:, ::1], f8, f8[:, ::1], f8, i8, f8[::1], f8[::1], f8[::1], i8, f8[::1], f8[::1], "
-    "i8, i8, i8, i8, f8, f8[::1], f8, f8[::1]",
+    "i8, i8, i8, i8, f8, f8[::1], f8, f8, f8[::1], f8[::1]",
 )

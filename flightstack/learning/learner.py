@@ -32,10 +32,9 @@ from flightstack.learning import sampler as s
 from flightstack.learning.learned_row import ASSEMBLE, SLOPE, WEIGHED, calibrated
 from flightstack.learning.priors import Priors, StorePrior, default_priors, state_only
 from flightstack.learning.sampler import Sampler
-from flightstack.learning.store import INFLATION, Evidence, Point, Relevance, Store
+from flightstack.learning.store import Evidence, Point, Relevance, Store
 from flightstack.learning.watch import LATERAL, VERTICAL, Watch
 from flightstack.model import Model
-from flightstack.rows import L_GAIN_SIGMA, L_SIGMA
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, FlatOutput, Learned, Measurement
 
 
@@ -219,7 +218,7 @@ class GpLearner:
         sample, config = state.sample, self.config
         self._sampler.step(state.memory, measurement, sent, sample)
         turns, window = _TURNS.get(state.steps % _GAIN_EVERY, ()), state.window
-        due = [turn for turn in turns if window is not None and turn in window.left]
+        due = [turn for turn in turns if turn in window.left] if window is not None else ()
         if window is not None and due:
             _take_turn(state, window, due[0])
         elif state.rates_due and turns:
@@ -246,10 +245,9 @@ class GpLearner:
         ASSEMBLE.call(
             self._limits, state.query, state.forward, carry_s, state.carried, weight, stage, sample, state.expected,
             state.variance, int(fit), state.rate_mean, state.rate_sigma, len(state.lateral.gp), state.fed,
-            state.refused, state.changes, state.watch.surprise, state.fed_forward, state.usual_thrust, row,
+            state.refused, state.changes, state.watch.surprise, state.fed_forward, state.usual_thrust,
+            state.gain_variance, state.vertical.excess, row,
         )  # fmt: skip
-        gain = INFLATION * math.sqrt(state.gain_variance + state.vertical.excess[0])
-        row[L_GAIN_SIGMA] = max(row[L_SIGMA + 2], gain) / STANDARD_GRAVITY_MPS2
         state.steps += 1
         return state, Learned(row)
 
@@ -257,15 +255,15 @@ class GpLearner:
         """Prediction at the state; the stores take turns, so that each is at most a tick old."""
         x = state.sample[s.S_INPUT : s.S_INPUT + s.D]
         if both or state.steps % 2 == 0:
-            state.expected[:2], state.posterior[0] = state.lateral.expect(x)
+            state.posterior[0] = state.lateral.gp.predict_into(x, state.expected[:2])
         if both or state.steps % 2 == 1:
-            state.expected[2:], state.posterior[1] = state.vertical.expect(x)
+            state.posterior[1] = state.vertical.gp.predict_into(x, state.expected[2:])
 
     def _learn(self, state: LearnerState, expected: F64, allowed: F64, t_us: int) -> bool:
         """A fit sample: into the window, against the alarm.  True where a change is noticed: the bound is wider now."""
         state.fit_us = t_us
         state.fed += 1
-        thrust = float(state.sample[s.S_INPUT + s.THRUST])
+        thrust = state.sample.item(s.S_INPUT + s.THRUST)
         state.usual_thrust += (thrust - state.usual_thrust) / min(state.fed, _USUAL_TICKS)
         watch, sample = state.watch, state.sample
         state.began_us = state.began_us if watch.held else t_us
@@ -310,15 +308,17 @@ class GpLearner:
         Worked out every fourth step, carried along its own rate in between: over 16 ms that is off by half the second
         derivative times 1e-4 s^2.
         """
-        out = state.forward
+        mean, mean_rate = state.forward
         query, rate = state.query.copy()
+        lateral, vertical = state.lateral.gp, state.vertical.gp
         near, near_rate = query[s.GROUND], rate[s.GROUND]
         query[s.GROUND] = rate[s.GROUND] = 0.0
-        out[0, :2], out[1, :2] = state.lateral.gp.predict_along(query, rate)
-        out[0, 2:3], out[1, 2:3] = state.vertical.gp.predict_along(query, rate)
+        lateral.predict_along_into(query, rate, mean[:2], mean_rate[:2])
+        vertical.predict_along_into(query, rate, mean[2:3], mean_rate[2:3])
         query[s.THRUST], query[s.GROUND], rate[s.GROUND] = 1.0, near, near_rate
-        out[0, 3:], out[1, 3:] = state.vertical.gp.predict_along(query, rate)
-        out[:, SLOPE] -= out[:, 2]
+        vertical.predict_along_into(query, rate, mean[3:], mean_rate[3:])
+        mean[SLOPE] -= mean[2]
+        mean_rate[SLOPE] -= mean_rate[2]
         state.forward_us = t_us
 
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from flightstack.gp import Kernel, RecursiveGP, least_relevant, spread
 from flightstack.gp.relevance import Spread
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.learning.priors import StorePrior
 from flightstack.types import F64
 
@@ -252,7 +252,7 @@ class Store:
             return
         if len(self.gp):
             mean, variance = self.expect(x)
-            _calibrate(y - mean, variance, self.gp.noise_var, self.floor, self._levels, self._block)
+            _CALIBRATE.call(y - mean, variance, self.gp.noise_var, self.floor, self._levels, self._block)
         self._add(x, y, span_us, seen)
 
     def evidence(self) -> Evidence:
@@ -323,3 +323,6 @@ def _calibrate(error: F64, variance: float, noise: float, floor: float, levels: 
         levels[_EXCESS, i] = max(levels[_CALM, i], levels[_OUTLIER, i])
     if full:
         block[:] = 0.0
+
+
+_CALIBRATE = Entry(_calibrate, "f8[::1], f8, f8, f8, f8[:, ::1], f8[::1]")

@@ -32,14 +32,14 @@ _LEAST_MPS2 = 0.3
 _FIRST_VARIANCE = 0.04
 
 # The watch's row: per axis short mean and count; structure function S(1) to S(K) of each axis, how many samples went
-# into it, the last K targets (the newest first); then the window: count, sums.
+# into it, the last K targets (the newest first); then the window's sums.
 _W_MEAN, _W_COUNT = 0, 3
 _W_STRUCTURE = 6
 _W_SAMPLES = _W_STRUCTURE + 3 * LAGS
 _W_TARGETS = _W_SAMPLES + 1
 _W_RUN = _W_TARGETS + 3 * LAGS
 """Samples since the last one that was not fit."""
-_W_N, _W_SUMS = _W_RUN + 1, _W_RUN + 2
+_W_SUMS = _W_RUN + 1
 _SUMMED = s.S_APPLIED - s.S_INPUT
 _WATCH = _W_SUMS + _SUMMED
 
@@ -49,7 +49,7 @@ NO_ALARM, LATERAL, VERTICAL = 0, 1, 2
 class Watch:
     """The running window and alarm of one flight; mutable."""
 
-    __slots__ = ("_row", "alarm_sigmas", "error", "surprise", "ticks")
+    __slots__ = ("_row", "alarm_sigmas", "error", "held", "surprise", "ticks")
 
     def __init__(self, ticks: int, alarm_sigmas: float) -> None:
         self.ticks, self.alarm_sigmas = ticks, alarm_sigmas
@@ -59,26 +59,26 @@ class Watch:
         """Short mean of the errors of prediction, tilt axes."""
         self.surprise = math.nan
         """The largest of them, in what it may be (1 sigma)."""
+        self.held = 0
+        """Samples in the window."""
 
     def step(self, sample: F64, expected: F64, variance: F64) -> int:
         """A fit sample against what was expected (3,) with this calibrated variance (3,): which alarm it raises."""
+        alarm: int
         alarm, self.surprise = _STEP.call(self._row, sample, expected, variance, self.alarm_sigmas, self.error)
-        return int(alarm)
+        self.held += 1
+        return alarm
 
     def reset(self) -> None:
         """Begin the window and the alarm anew."""
         self._row[_W_MEAN:_W_STRUCTURE] = 0.0
         self._row[_W_RUN:] = 0.0
-
-    @property
-    def held(self) -> int:
-        """Samples in the window."""
-        return int(self._row[_W_N])
+        self.held = 0
 
     @property
     def full(self) -> bool:
         """The window has all its samples."""
-        return bool(self._row[_W_N] >= self.ticks)
+        return self.held >= self.ticks
 
     @property
     def noise_var(self) -> F64:
@@ -87,8 +87,9 @@ class Watch:
 
     def take(self) -> F64:
         """The window's mean sample (inputs, targets, rate inputs, rate targets, thrust apart), and a new window."""
-        mean: F64 = self._row[_W_SUMS:] / self._row[_W_N]
-        self._row[_W_N:] = 0.0
+        mean: F64 = self._row[_W_SUMS:] / self.held
+        self._row[_W_SUMS:] = 0.0
+        self.held = 0
         return mean
 
 
@@ -133,7 +134,6 @@ def _step(
         if row[_W_COUNT + i] >= _CONFIRM:
             alarm |= VERTICAL if i == 2 else LATERAL
     row[_W_RUN] += 1.0
-    row[_W_N] += 1.0
     for j in range(_SUMMED):
         row[_W_SUMS + j] += sample[s.S_INPUT + j]
     return alarm, surprise
