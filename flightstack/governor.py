@@ -151,7 +151,8 @@ class Governor:
         `limits` None: nothing is limited, the model runs all the same; `heading_rad`: of the vehicle, from north.
         """
         rate, norm = command.rate_frd_radps, command.thrust_norm
-        if not math.isfinite(norm + rate[0] + rate[1] + rate[2]):  # PX4 does not take it either
+        roll, pitch, yaw = rate.tolist()
+        if not math.isfinite(norm + roll + pitch + yaw):  # PX4 does not take it either
             return state, norm, None
         if state.t_us == _NEVER:
             state.memory[4 + LAGGED * LANES : 4 + (LAGGED + 1) * LANES] = norm

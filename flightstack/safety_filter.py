@@ -161,7 +161,8 @@ class BarrierFilter:
         if state.memory[0, M_MODE] != ENGAGED or state.handed_over:
             return setpoint
         row, (low, high) = setpoint.row, state.rest_ned_m
-        if (low[0] <= row[0] <= high[0]) and (low[1] <= row[1] <= high[1]) and (low[2] <= row[2] <= high[2]):
+        north, east, down = zip(low.tolist(), row[:3].tolist(), high.tolist(), strict=True)
+        if north[0] <= north[1] <= north[2] and east[0] <= east[1] <= east[2] and down[0] <= down[1] <= down[2]:
             return setpoint
         inside = np.clip(row[:3], low, high)
         bent = row.copy()
@@ -191,13 +192,14 @@ class BarrierFilter:
             (work, self._rows, self._low, self._high), row,
         )  # fmt: skip
         row[F_STATUS], row[F_ITERATIONS], row[F_VERSION] = status, 0.0, certificate.version
-        kept = status == WAITING and row[F_INTERVENED] == 1.0
-        if (status == WAITING and not kept) or not math.isfinite(row[F_WANTED]):  # no number: for the guard to judge
+        kept = status == WAITING and row.item(F_INTERVENED) == 1.0
+        if (status == WAITING and not kept) or not math.isfinite(row.item(F_WANTED)):  # no number: the guard judges
             return state, command, Filtered(row)
         u, rate = np.empty(3), command.rate_frd_radps.copy()
         if kept:
             return state, self._steered(state, command, row[11:14].copy(), rate, row), Filtered(row)
-        rate[2] = _gently(float(rate[2]), float(measurement.row[_YAW_RATE]), self.limits.rate_max_radps[2])
+        wanted_yaw = rate.item(2)
+        yaw = rate[2] = _gently(wanted_yaw, measurement.row.item(_YAW_RATE), self.limits.rate_max_radps[2])
         if status == CHANGED:
             solution = self._qp.solve(self._rows, self._low, self._high, row[8:11])
             u, row[F_ITERATIONS], row[F_RESIDUAL] = solution.x, solution.iterations, solution.residual
@@ -209,7 +211,7 @@ class BarrierFilter:
             ):
                 status = row[F_STATUS] = PASSED
         if status == PASSED:
-            if rate[2] == command.rate_frd_radps[2]:
+            if yaw == wanted_yaw:
                 return state, command, Filtered(row)
             row[F_STATUS], row[F_INTERVENED] = CHANGED, 1.0
             return state, command._replace(rate_frd_radps=rate), Filtered(row)

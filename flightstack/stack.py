@@ -166,9 +166,9 @@ class Stack:
                 premises = watch(premises, seen, since, self.model.mass_kg, setpoint.yaw_rad)
             setpoint = setpoint if premises.rest is None else premises.rest
             bent = self.filter.bend(safe, setpoint)
-            control = self._handed(control, state.watch, premises, now_us)
-            met, bent, forward = _met(self._pilot(premises), seen, bent, learned)
-            control, proposal = self._pilot(premises).step(control, met, bent, forward, sent, now_us)
+            control, pilot = self._handed(control, state.watch, premises, now_us), self._pilot(premises)
+            met, bent, forward = _met(pilot, seen, bent, learned)
+            control, proposal = pilot.step(control, met, bent, forward, sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
             wanted, turned = self.guard.turn_back(wanted, seen, origin, carried, now_us)
             safe, wanted, filtered = self.filter.step(safe, seen, wanted, sent, learned)
@@ -202,7 +202,7 @@ class Stack:
         """The command as torque's bounds leave it, and whether they changed it."""
         if self.governor is None or state is None:
             return state, command, False
-        w, _, _, z = seen.q_ned_frd
+        w, _, _, z = seen.q_ned_frd.tolist()
         heading_rad = 2.0 * math.atan2(z, w)
         state, norm, rate = self.governor.step(state, command, self.filter.governed(safe), heading_rad)
         if rate is None and norm == command.thrust_norm:

@@ -89,7 +89,8 @@ class UnderWay:
         """The state at `now_us`; `sent`: the newest command, as applied; `in_force`: a certificate (`packed`)."""
         age_us, late_us = max(now_us - measurement.t_us, 0), min(max(measurement.late_us, 0), LATE_MOST_US)
         delay_s = learned.delay_s if learned.delay_s >= 0.0 else self._delay_s + 1e-6 * late_us
-        row, felt = measurement.row.copy(), measurement.row.copy()
+        row = measurement.row.copy() if age_us + late_us else measurement.row  # then nothing is written
+        felt = row.copy() if late_us else row
         to_us = measurement.t_us + min(age_us, _MOST_US)
         times_us = (float(measurement.t_us), float(to_us), float(to_us + late_us))
         _CARRY.call(
@@ -112,7 +113,7 @@ def _carry(
 ) -> None:  # fmt: skip
     """`row` (20,), a Measurement's at the first of `times_us`, becomes that of the second, `felt` that of the third.
 
-    `flat`: `packed`, or 0.
+    `felt` may be `row` where both times are the same; `flat`: `packed`, or 0.
     """
     from_us, to_us, felt_us = times_us
     remember(memory, *sent)

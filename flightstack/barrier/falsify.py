@@ -20,7 +20,7 @@ from flightstack.barrier.assess import column_at
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.records import AXES, AxisCertificate, Certificate
 from flightstack.frames import quat_to_matrix
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.model import Model
 from flightstack.rows import FORCE_X, FORCE_Y, FORCE_Z
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Learned, Measurement
@@ -61,7 +61,7 @@ class Witness:
         thrust_mps2 = learned.applied_thrust_n / model.mass_kg
         dt_s = min(1e-6 * (measurement.t_us - self._seen_us), _GAP_MAX_S) if self._seen_us >= 0 else 0.0
         self._seen_us = measurement.t_us
-        over = _compare(
+        over = _COMPARE.call(
             measurement.row, thrust_mps2, max(dt_s, 0.0), self._tables, self._bound, self._allowed, self._error,
             self._sums,
         )  # fmt: skip
@@ -82,7 +82,7 @@ class Witness:
         tables, self._certificate = [_NOTHING] * 3, certificate
         self._bound[:] = self._allowed[:] = math.inf
         for each in certificate.axes:
-            tables[each.axis] = each.authority.table
+            tables[each.axis] = np.ascontiguousarray(each.authority.table)
             self._bound[each.axis] = doubt(each)
             self._allowed[each.axis] = max(2.0 * each.setting.off_mps, _LEAST_MPS)
         self._tables = (tables[0], tables[1], tables[2])
@@ -120,10 +120,12 @@ def _compare(
     return over
 
 
+_COMPARE = Entry(_compare, "f8[::1], f8, f8, UniTuple(f8[:, ::1], 3), f8[::1], f8[::1], f8[::1], f8[:, ::1]")
+
+
 def prepare() -> None:
     """Compile what `Witness.observe` calls: no tick waits for it."""
-    row, three = np.eye(1, 20, 6)[0], np.zeros(3)
-    _compare(row, 0.0, 0.0, (_NOTHING, _NOTHING, np.zeros((7, 2))), three, three, three.copy(), np.zeros((2, 3)))
+    _COMPARE.prepare()
 
 
 def doubt(axis: AxisCertificate) -> float:

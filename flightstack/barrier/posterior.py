@@ -251,11 +251,13 @@ def sized_steps(process: Process) -> Iterator[Posterior | None]:
     Sizes are tried from the prior's down, each with every noise, the likeliest of which counts; all of it without and
     with a force up or down, and with one if the likeliest of all has it.  See `knowledge`.
     """
-    smooth = process.kernel.matrix(process.x) - _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
+    prior = process.kernel.matrix(process.x)
+    smooth = prior - _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
     tried: dict[tuple[bool, float], tuple[float, Process]] = {}
     for force in dict.fromkeys((None, process.force)):
         one = process if force is None else replace(process, kernel=process.kernel + force)
-        for share, done in _sizes_steps(one, smooth):
+        gram = prior if force is None else one.kernel.matrix(process.x)
+        for share, done in _sizes_steps(one, gram, smooth):
             if done is not None:
                 tried[force is not None, share] = done
             yield None
@@ -267,26 +269,35 @@ def sized_steps(process: Process) -> Iterator[Posterior | None]:
     yield Posterior(replace(sized, excess=np.maximum(sized.excess, beyond)))
 
 
-def _sizes_steps(process: Process, smooth: F64) -> Iterator[tuple[float, tuple[float, Process] | None]]:
-    """Each share of the smooth part, with its likeliness and the likeliest noise after the last piece of its work."""
-    whole = np.asfortranarray(process.kernel.matrix(process.x))
-    dated = len(process.spans_us) > 0
-    together = process.correlations if dated else None
+def _sizes_steps(process: Process, gram: F64, smooth: F64) -> Iterator[tuple[float, tuple[float, Process] | None]]:
+    """Each share of the smooth part, with its likeliness and the likeliest noise after the last piece of its work.
+
+    `gram` (N, N): the kernel of the points, `smooth` (N, N): that of its smooth part.
+    """
+    whole, dated = np.asfortranarray(gram), len(process.spans_us) > 0
     times_s = np.asarray(1e-6 * process.spans_us[:, 1] if dated else np.zeros(len(process.x)), np.float64)
     sizes = SmoothSizes(whole - smooth, smooth, process.y, process.noise_var, times_s, _DRIFT_S)
-    for i in range(_SIZES):
-        share, tried = 4.0**-i, []
-        kernel = _scaled(process.kernel, share) if i else process.kernel
+    together = process.correlations if dated and not sizes.worth_it else None
+    for share in (4.0**-i for i in range(_SIZES)):
+        tried: list[tuple[float, float, float]] = []
         for white, drift in _NOISES if dated else _NOISES[:1]:
             noise_var = white * process.noise_var
-            one = replace(process, kernel=kernel, noise_var=noise_var, drift=Drift(drift * noise_var))
+            drift_var = drift * noise_var
             if sizes.worth_it:
-                found = sizes.log_likelihood(share, noise_var, one.drift.variance)
+                found = sizes.log_likelihood(share, noise_var, drift_var)
             else:
+                one = _sized(process, share, noise_var, drift_var)
                 found = Posterior(one, smooth * (share - 1.0) + whole, together).log_likelihood
-            tried.append((found, one))
+            tried.append((found, noise_var, drift_var))
             yield share, None
-        yield share, max(tried, key=lambda each: each[0])
+        found, *noise = max(tried, key=lambda each: each[0])
+        yield share, (found, _sized(process, share, *noise))
+
+
+def _sized(process: Process, share: float, noise_var: float, drift_var: float) -> Process:
+    """The process with a share of its smooth part, and with such noise."""
+    kernel = _scaled(process.kernel, share) if share < 1.0 else process.kernel
+    return replace(process, kernel=kernel, noise_var=noise_var, drift=Drift(drift_var))
 
 
 def _scaled(kernel: Kernel, by: float) -> Kernel:

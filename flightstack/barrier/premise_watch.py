@@ -138,7 +138,7 @@ def ended_by(state: WatchState, measurement: Measurement, premise: int) -> Watch
 def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: float, yaw_rad: float) -> WatchState:
     """One tick with an engaged filter."""
     ages_s, learned = ages_of(measurement), seen.learned
-    latency_s = _latency_s(measurement, learned, float(state.numbers[_DELAY]))
+    latency_s = _latency_s(measurement, learned, state.numbers.item(_DELAY))
     gain = math.nan
     if learned.stage >= _VALID:
         gain = _GAIN.call(state.numbers, state.down, measurement.row, learned.row, learned.applied_thrust_n / mass_kg)
@@ -147,8 +147,9 @@ def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: floa
     span_s = min(max(seen.interval_s, 0.0), _GAP_MAX_S)
     lapse = broken in _LAPSES
     broken_s = _summed(state.broken_s, span_s if broken and not lapse else 0.0, span_s)
-    lapsed_s = _summed(state.lapsed_s, _lapse_s(broken, seen.interval_s, float(state.numbers[_INTERVAL])), span_s)
-    after = state._replace(broken=broken, broken_s=broken_s, lapsed_s=lapsed_s)
+    lapsed_s = _summed(state.lapsed_s, _lapse_s(broken, seen.interval_s, state.numbers.item(_INTERVAL)), span_s)
+    version, numbers, down, *_, ended, rest = state
+    after = WatchState(version, numbers, down, broken_s, lapsed_s, broken, ended, rest)
     strayed = state.broken in _LAPSES and not seen.is_inside
     if state.ended or not (broken_s >= BREACH_S or lapsed_s >= LAPSED_S or strayed):
         return after

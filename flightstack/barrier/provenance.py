@@ -71,7 +71,8 @@ class Trail:
     def add(self, record: TickRecord) -> None:
         """One tick, as it goes to the log."""
         seen, command = record.measurement, record.command
-        delay_s = -1.0 if math.isnan(record.delay_s) else record.delay_s
+        delay_s = record.delay_s
+        delay_s = -1.0 if math.isnan(delay_s) else delay_s
         self._hash.update(
             _TICK.pack(
                 record.t_us, *seen.row.tolist(), seen.position_age_us, seen.attitude_age_us, seen.imu_age_us,

@@ -61,7 +61,8 @@ class SmoothSizes:
         kept, values = min(kept, len(products) - self._values), len(products) - self._values
         by = np.ones(kept)
         by[self._named :] = math.sqrt(share)
-        inner = np.asfortranarray(products[:kept, :kept] * by[:, None] * by)
+        inner = np.asfortranarray(products[:kept, :kept] * by[:, None])
+        inner *= by
         inner.ravel(order="K")[:: kept + 1] += 1.0
         factor, _ = lapack.dpotrf(inner, lower=1, overwrite_a=1, clean=0)
         explained, _ = lapack.dtrtrs(factor, (products[values:, :kept] * by).T, lower=1)
