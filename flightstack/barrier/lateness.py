@@ -14,10 +14,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.barrier.records import Certificate
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.types import F64, Measurement, Tuple3
+
+I64 = NDArray[np.int64]
 
 _PERIODS_S = (0.008, 0.005, 0.004)
 """Of position, attitude and IMU streams at PX4's greatest rates."""
@@ -38,9 +41,9 @@ class Lateness:
 
     def __init__(self) -> None:
         self._seen_us, self._longest_s, self._quickest_s = -1, 0.0, math.inf
-        self._ages = [0] * _OLDEST
+        self._ages = np.zeros(_OLDEST, np.int64)
         """Ticks by the age of the newest sample; over the last nothing is carried."""
-        self._late = [0] * _STEPS
+        self._late = np.zeros(_STEPS, np.int64)
         """Ticks by how late the latest stream was; the last holds all that is beyond."""
 
     def take(self, measurement: Measurement) -> None:
@@ -48,12 +51,7 @@ class Lateness:
         if self._seen_us >= 0:
             self._longest_s = max(self._longest_s, 1e-6 * (measurement.t_us - self._seen_us))
         self._seen_us = measurement.t_us
-        ages_s = ages_of(measurement)
-        newest_s = min(ages_s)
-        self._quickest_s = min(self._quickest_s, newest_s)
-        late_s = _lateness_s(ages_s) - _always_s(self._quickest_s)
-        self._late[min(max(math.ceil(late_s / _STEP_S - 1e-6), 0), _STEPS - 1)] += 1
-        self._ages[min(max(math.ceil(newest_s / _STEP_S - 1e-6), 0), _OLDEST - 1)] += 1
+        self._quickest_s = _COUNTED.call(ages_of(measurement), self._quickest_s, self._late, self._ages)
 
     def interval_s(self, period_s: float) -> float:
         """For how long a command may be held: a loop's own period, or some of them where it was late."""
@@ -70,9 +68,9 @@ class Lateness:
         return _mostly_s(self._ages)
 
 
-def _mostly_s(ticks: list[int]) -> float:
+def _mostly_s(ticks: I64) -> float:
     """What all but few ticks keep within; 0 while there are too few to say."""
-    count = float(sum(ticks))
+    count = float(ticks.sum())
     return _STEP_S * int(np.searchsorted(np.cumsum(ticks), (1.0 - _RARELY) * count)) if count >= _LEAST_TICKS else 0.0
 
 
@@ -94,6 +92,25 @@ def _lateness_s(ages_s: Tuple3) -> float:
 
 always_s, lateness_s = njit(_always_s), njit(_lateness_s)
 """The same for compiled code."""
+
+
+@njit
+def _counted(ages_s: Tuple3, quickest_s: float, late: I64, ages: I64) -> float:
+    """One tick more in both counts; the least age of a newest sample so far."""
+    newest_s = min(ages_s[0], ages_s[1], ages_s[2])
+    quickest_s = min(quickest_s, newest_s)
+    late[_step(lateness_s(ages_s) - always_s(quickest_s), _STEPS)] += 1
+    ages[_step(newest_s, _OLDEST)] += 1
+    return quickest_s
+
+
+@njit
+def _step(span_s: float, steps: int) -> int:
+    """The step that a time belongs to, of so many; the last holds all that is beyond."""
+    return int(min(max(math.ceil(span_s / _STEP_S - 1e-6), 0), steps - 1))
+
+
+_COUNTED = Entry(_counted, "UniTuple(f8, 3), f8, i8[::1], i8[::1]")
 
 
 def carried_off(certificate: Certificate) -> tuple[F64, F64]:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 _LEARNED = slice(Learned.residual_frd_mps2.place.start, Learned.target_frd_mps2.place.stop)
 """Places of residual, sigma and target in a row of what is learned."""
-_TRUE_PARTS = ("specific_force_frd_mps2", "motor_u", "vel_ned_mps", "q_ned_frd")
 _TRUTH, _ENDS = 14, (3, 7, 10)
 """Numbers of them, and where they part."""
 _COUNTS = ("points", "fed", "refused", "changes")
@@ -62,8 +61,7 @@ class LearnedScore:
         """One tick."""
         self._learned.extend_bytes(learned.row[_LEARNED])
         if truth is not None:
-            for part in _TRUE_PARTS:
-                self._truths.extend(getattr(truth, part))
+            self._truths.extend((*truth.specific_force_frd_mps2, *truth.motor_u, *truth.vel_ned_mps, *truth.q_ned_frd))
 
     @property
     def learned(self) -> tuple[F64, F64, F64]:

@@ -113,7 +113,8 @@ class FlightScore:
         followed = record.reference
         if self.site is not None:  # what was asked for through a wall is not what was to be flown
             followed = self.site.filter.reference or followed
-        wanted = followed.row[:3]
+        wanted_n, wanted_e, wanted_d = followed.row[:3].tolist()
+        wanted = wanted_n, wanted_e, wanted_d
         self.tracking.add(place, relative(wanted, companion.start_ned_m))
         error = None
         if truth is not None:
@@ -121,7 +122,7 @@ class FlightScore:
             error = n - tn, e - te, d - td
         self.estimate.add(
             companion.view.streams.observer.disagreement_ned_mps,
-            math.dist((at_n, at_e, at_d), wanted.tolist()), error,
+            math.dist((at_n, at_e, at_d), wanted), error,
         )  # fmt: skip
         if self._learning:
             self._learned.add(record.learned, truth)
