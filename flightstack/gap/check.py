@@ -150,6 +150,11 @@ def _lacking(signals: Mapping[str, Signal], kind: str, kinematics_only: bool) ->
     if not {"vel_ned_mps", "pos_ned_m", "accel_frd_mps2", "acc_ned_mps2"} & signals.keys():
         text = f"holds neither velocity nor acceleration; record position and IMU ({how_to_record(kind)})"
         out.append(refused("signals", text))
+    elif not {"q_ned_frd", "rate_frd_radps", "accel_frd_mps2"} & signals.keys():
+        text = (
+            f"holds no whole attitude, no gyro and no accelerometer; record roll, pitch and yaw ({how_to_record(kind)})"
+        )
+        out.append(refused("signals", text))
     if "motor" not in signals:
         text = f"holds no motor commands; record them ({how_to_record(kind)}), or use --kinematics-only"
         out.append(Finding("motors", "warning" if kinematics_only else "refused", text))

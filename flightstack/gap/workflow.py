@@ -22,6 +22,7 @@ from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.read import flight
 from flightstack.gap.records import Checked, Gap, Samples
 from flightstack.gap.result import GapResult
+from flightstack.gap.trim import told_by_trim
 from flightstack.gap.verdict import closed_power
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
@@ -57,6 +58,7 @@ def analyse(
         naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
     if not (held or naming.found) and naming.unexplained.significant:
         naming, of, gap = _split_by_what_is_off(vehicle, flights, (naming, of, gap), called)
+    naming, of, gap = told_by_trim(vehicle, (naming, of, gap))
     naming = with_changing_gyro(vehicle, naming, flights)
     on_progress(0.9, "drawing")
     side_only = without_motors(of.flights)

@@ -333,6 +333,10 @@ REFUSALS: dict[str, tuple[Callable[[Flight], Flight], str]] = {
         _without("vel_ned_mps", "pos_ned_m", "accel_frd_mps2"),
         "neither velocity nor",
     ),
+    "neither attitude nor IMU": (
+        _without("q_ned_frd", "rate_frd_radps", "accel_frd_mps2"),
+        "record roll, pitch and yaw",
+    ),
     "two seconds": (_short, "s in the air"),
     "another clock": (_other_clock, "different clocks"),
     "a jump": (_jump, "mixes clocks"),
