@@ -248,9 +248,12 @@ def test_once_px4_lands_silence_is_not_answered() -> None:
     assert companion.last_word(now).flags == 0
 
 
-@pytest.mark.parametrize("late_us", [0, 300_000])
+@pytest.mark.parametrize("late_us", [0, 250_000])
 def test_stop_while_arming_leaves_nothing_armed(late_us: int) -> None:
-    """Ctrl-C as a real PX4 armed: it stayed armed in OFFBOARD without setpoints, then in Return, for 20 s and more."""
+    """Ctrl-C as a real PX4 armed: it stayed armed in OFFBOARD without setpoints, then in Return, for 20 s and more.
+
+    The latter moment is shortly before a heartbeat tells the companion that it is armed.
+    """
     companion, _ = build()
     vehicle = FakePx4()
     now = exchange(companion, vehicle, 30.0, until=lambda: vehicle.armed)
