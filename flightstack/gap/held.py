@@ -146,14 +146,20 @@ def surrogate_terms(
     """Named effects that, far from the noise, stand for something else.
 
     Those that stand at the end of their range, those whose size changes from stretch to stretch (`constant`: p-values
-    of its being the same), a wind that blows up or down more than along: no steady wind goes through the ground, and
-    a wind beside a constant force: what is left of two forces that are alike is a torque, or nothing.
+    of its being the same), a wind that blows up or down more than along: no steady wind goes through the ground,
+    a wind beside a constant force: what is left of two forces that are alike is a torque, or nothing, and a payload of
+    half the vehicle: who weighs a vehicle would have noticed it, how strong rotors are few have measured.
     """
     ends = at_bound(believed, found)
     names = {f.name for f in found}
     gone = {f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < FICKLE_P or upright(f)}
     gone |= {"steady_wind"} if names >= {"steady_wind", "constant_force"} else set()
+    gone |= {f.name for f in found if f.name == "payload" and _is_half(f, believed)}
     return tuple(f.name for f in found if f.name in gone)
+
+
+def _is_half(load: IdentifiedEffect, believed: Vehicle) -> bool:
+    return abs(load.parameters["mass_kg"].estimate) > HALF * believed.mass_kg
 
 
 def upright(found: IdentifiedEffect) -> bool:

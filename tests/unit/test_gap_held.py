@@ -335,3 +335,11 @@ def test_a_drag_is_not_looked_for_where_the_velocity_is_error_rather_than_motion
         masks = [samples.valid]
         mute = simulator_bench(quad(), [samples], masks, masks).mute
         assert ({"linear_drag", "rotor_drag", "parasitic_drag"} <= mute) is muted
+
+
+@pytest.mark.parametrize(("share", "proxy"), [(0.75, True), (-0.75, True), (0.25, False)])
+def test_a_payload_of_half_the_vehicle_stands_for_rotors_that_are_no_stronger(share: float, proxy: bool) -> None:
+    """A Crazyflie of 27 g was told 20 g more on one of its flights and 0.55 of its thrust on the others, so that its
+    drag was 16 g/s there and 11 elsewhere."""
+    load = IdentifiedEffect("payload", {"mass_kg": Estimate(0.0, share * quad().mass_kg, 0.0, 2.0)}, -50.0, 0.1, 1e-9)
+    assert surrogate_terms(quad(), [load], {}) == (("payload",) if proxy else ())
