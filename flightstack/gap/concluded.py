@@ -13,13 +13,14 @@ from flightstack.effects import EFFECTS
 from flightstack.gap import airspeed, estimator_bias, instruments, pooled
 from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
-from flightstack.gap.classes import confused_with, doubled, without_motors
+from flightstack.gap.classes import beside_a_poor_model, confused_with, doubled, in_classes, without_motors
 from flightstack.gap.decisions import HALF, MOSTLY, TENTH
 from flightstack.gap.held import (
     corrected,
     fails_holdout,
     far_from_noise,
     interval_contains_nominal,
+    mass_for_thrust,
     surrogate_terms,
     told_by_signals,
 )
@@ -29,7 +30,7 @@ from flightstack.gap.naming.estimate import fills
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Gap, IdentifiedEffect, Samples
 from flightstack.gap.refine import refine
-from flightstack.gap.verdict import closed_power, gap_of, unexplained
+from flightstack.gap.verdict import closed_by_channel, closed_power, gap_of, unexplained
 from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 
@@ -55,6 +56,8 @@ def concluded(
     naming, of, gap = _without_loop_noise(vehicle, naming, of, gap, [s.command_late_s for s in taken.flights])
     naming, of, gap = _same_in_each(vehicle, naming, of, gap)
     felt = told_by_signals(vehicle, naming.found, of)
+    if naming.found and _is_worse(gap):
+        naming, of, gap = _with_mass_for_thrust(vehicle, naming, of, gap)
     if naming.found and (_is_worse(gap) or (naming.unexplained.significant and closed_power(gap) < HALF)):
         gone = {f.name for f in naming.found} - (set() if _is_worse(gap) else confirmed(naming.across) | felt)
         naming = naming.without(gone, "leaves most of the gap as it was") if gone else naming
@@ -256,6 +259,24 @@ def _beside_a_poor_model(vehicle: Vehicle, named: Selection) -> Selection:
         if not surrogate_terms(vehicle, more.found, more.constant):
             named = more.with_twins(new, tuple(f.name for f in stood if new in confused_with([f])))
     return named
+
+
+def _with_mass_for_thrust(
+    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap
+) -> tuple[Selection, FitHoldoutSplit, Gap]:
+    """The verdict with a mass for a thrust scale that closes force but makes turning worse; else as it was.
+
+    Beside a poor model the two are one class: both say how hard the rotors pull a kilogram.  A thrust scales what turns
+    the vehicle as well, and there a wrong inertia, or rows too rare for a rate loop, speak louder.
+    """
+    scale = {f.name: f for f in naming.found}.get("thrust_scale")
+    if scale is None or closed_by_channel(gap).get("force", 0.0) < HALF:
+        return naming, of, gap
+    found = in_classes(mass_for_thrust(vehicle, naming.found), of.flights)
+    now = replace(naming, found=tuple(beside_a_poor_model(f) for f in found), vehicle=corrected(vehicle, found))
+    after = held_out_gap(vehicle, now, of)
+    better = not _is_worse(after) and closed_power(after) >= closed_power(gap) - TENTH
+    return (now, of, after) if better else (naming, of, gap)
 
 
 def _is_worse(gap: Gap, times: float = (1.0 + TENTH)) -> bool:

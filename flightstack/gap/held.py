@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from flightstack.gap.compare import residual
 from flightstack.gap.decisions import CLEAR_SHARE, CLEARLY, FICKLE_P, HALF, SURE_ERRORS
 from flightstack.gap.naming.candidates import at_end
 from flightstack.gap.pooled import FitHoldoutSplit
-from flightstack.gap.records import Gap, IdentifiedEffect
+from flightstack.gap.records import Estimate, Gap, IdentifiedEffect
 from flightstack.gap.simulate import with_value
 from flightstack.gap.verdict import ONE_STEP
 from flightstack.types import F64
@@ -147,19 +147,56 @@ def surrogate_terms(
 
     Those that stand at the end of their range, those whose size changes from stretch to stretch (`constant`: p-values
     of its being the same), a wind that blows up or down more than along: no steady wind goes through the ground,
-    a wind beside a constant force: what is left of two forces that are alike is a torque, or nothing, and a payload of
-    half the vehicle: who weighs a vehicle would have noticed it, how strong rotors are few have measured.
+    a wind beside a constant force: what is left of two forces that are alike is a torque, or nothing, a payload of half
+    the vehicle: who weighs a vehicle would have noticed it, how strong rotors are few have measured, and a tilt between
+    sensors and body that can be seen.
     """
     ends = at_bound(believed, found)
     names = {f.name for f in found}
     gone = {f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < FICKLE_P or upright(f)}
     gone |= {"steady_wind"} if names >= {"steady_wind", "constant_force"} else set()
     gone |= {f.name for f in found if f.name == "payload" and _is_half(f, believed)}
+    gone |= {f.name for f in found if f.name == "attitude_misalignment" and _is_seen(f)}
     return tuple(f.name for f in found if f.name in gone)
+
+
+_SEEN_RAD = 0.15
+"""Nine degrees: no autopilot is mounted, and none levelled, so badly unnoticed."""
+
+
+def _is_seen(tilt: IdentifiedEffect) -> bool:
+    return math.hypot(*(tilt.parameters[f"{axis}_rad"].estimate for axis in ("roll", "pitch"))) > _SEEN_RAD
 
 
 def _is_half(load: IdentifiedEffect, believed: Vehicle) -> bool:
     return abs(load.parameters["mass_kg"].estimate) > HALF * believed.mass_kg
+
+
+def mass_for_thrust(believed: Vehicle, found: Sequence[IdentifiedEffect]) -> tuple[IdentifiedEffect, ...]:
+    """The same forces by a mass in place of a thrust scale s: m / s for m, and what pushes by newtons 1 / s of it."""
+    scale = next(f.parameters["scale"] for f in found if f.name == "thrust_scale")
+
+    def load(value: float) -> float:
+        return believed.mass_kg * (1.0 / value - 1.0)
+
+    out = []
+    for each in found:
+        if each.name == "thrust_scale":
+            mass = Estimate(load(scale.before), load(scale.estimate), load(scale.high), load(scale.low))
+            twins = ("thrust_scale", *(t for t in each.indistinguishable_from if t != "payload"))
+            each = replace(each, name="payload", parameters={"mass_kg": mass}, indistinguishable_from=twins)
+        elif each.name in _PUSHES:
+            by = {p: _times(e, 1.0 / scale.estimate) for p, e in each.parameters.items()}
+            each = replace(each, parameters=by)
+        out.append(each)
+    return tuple(out)
+
+
+_PUSHES = ("linear_drag", "parasitic_drag", "rotor_drag", "induced_inflow", "constant_force")
+
+
+def _times(each: Estimate, factor: float) -> Estimate:
+    return replace(each, estimate=factor * each.estimate, low=factor * each.low, high=factor * each.high)
 
 
 def upright(found: IdentifiedEffect) -> bool:

@@ -21,7 +21,7 @@ from flightstack.gap.simulate import predict
 from flightstack.gap.track import ProcessedFlight, derivative, lowpass, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
-from flightstack_logs.turn import rotate
+from flightstack_logs.turn import headings, rotate
 from flightstack_sim.autopilot.flight_control import FlightControl, airframe_params
 from flightstack_sim.autopilot.setpoint import ControlKind, ControlSetpoint
 from flightstack_sim.grade import load_grade
@@ -123,7 +123,7 @@ def _flown(believed: Vehicle, truth: Vehicle, flight: ProcessedFlight, first: in
     if "height_m" not in flight.missing:
         path[:, 2] = flight.pos_ned_m[first:last, 2]
     axis = flight.q_ned_frd[first:last]
-    yaw = np.unwrap(_yaw(axis))
+    yaw = np.unwrap(headings(axis))
     wanted = np.hstack([path, flight.vel_ned_mps[first:last], flight.acc_ned_mps2[first:last]])
     wanted[:, 6:] = lowpass(wanted[:, 6:], _PATTERN_HZ, dt)
     wanted = np.hstack([wanted, yaw[:, None], lowpass(derivative(yaw[:, None], dt), _PATTERN_HZ, dt)])
@@ -176,7 +176,7 @@ def _in_the_air(believed: Vehicle, truth: Vehicle, flight: ProcessedFlight, firs
     plant.pos_ned_m[:] = start
     vehicle.advance(ControlSetpoint(ControlKind.RATE, thrust_norm=1.0), _LIFT_MS)  # it must notice that it flies
     plant.vel_ned_mps[:] = 0.0
-    yaw = float(_yaw(flight.q_ned_frd[first : first + 1])[0])
+    yaw = float(headings(flight.q_ned_frd[first : first + 1])[0])
     hold = ControlSetpoint(ControlKind.POSITION, pos_ned_m=(start[0], start[1], start[2]), yaw_rad=yaw)
     vehicle.advance(hold, _HOVER_MS)
     plant.pos_ned_m[:] = start
@@ -196,8 +196,3 @@ def _setpoint(now: Sequence[float]) -> ControlSetpoint:
         yaw_rad=math.remainder(yaw_rad, 2.0 * math.pi),
         yaw_rate_radps=yaw_rate_radps,
     )
-
-
-def _yaw(q: F64) -> F64:
-    w, x, y, z = q.T
-    return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from flightstack.gap import gather, pooled
 from flightstack.gap.check import check
-from flightstack.gap.classes import without_motors
+from flightstack.gap.classes import on_one_heading, without_motors
 from flightstack.gap.concluded import OnProgress, concluded, held_out_gap, silent, without_bias
-from flightstack.gap.decisions import ALL_OF_ONE, CLEAR_SHARE, MOSTLY
+from flightstack.gap.decisions import CLEAR_SHARE, MOSTLY
 from flightstack.gap.drifting import with_changing_gyro
 from flightstack.gap.likeness import same_flight
 from flightstack.gap.name import DRIFTS, Selection
@@ -59,6 +59,8 @@ def analyse(
     if not (held or naming.found) and naming.unexplained.significant:
         naming, of, gap = _split_by_what_is_off(vehicle, flights, (naming, of, gap), called)
     naming, of, gap = told_by_trim(vehicle, (naming, of, gap))
+    if naming.unexplained.significant:
+        naming = replace(naming, found=on_one_heading(naming.found, of.flights))
     naming = with_changing_gyro(vehicle, naming, flights)
     on_progress(0.9, "drawing")
     side_only = without_motors(of.flights)
@@ -82,7 +84,7 @@ def _looked_closely(
     """The verdict where what a good model may be off by is looked at, too, if that explains all; else what was said.
 
     A centre of mass off by two percent of an arm is less than vehicles differ by, and yet all that is missing here.
-    Where nothing was named, all of force or of turning is enough.
+    Where nothing was named, most of force or of turning is enough.
     """
     try:
         naming, of, gap = concluded(vehicle, said[1], called, closely=True)
@@ -91,7 +93,7 @@ def _looked_closely(
     if not naming.found or gap.closed is None or _is_drift_again(said[0], naming):
         return said
     whole = gap.closed >= MOSTLY and not naming.unexplained.significant
-    return (naming, of, gap) if whole or (not said[0].found and closed_power(gap) >= ALL_OF_ONE) else said
+    return (naming, of, gap) if whole or (not said[0].found and closed_power(gap) >= MOSTLY) else said
 
 
 def _is_drift_again(before: Selection, now: Selection) -> bool:

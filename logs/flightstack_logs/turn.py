@@ -101,3 +101,9 @@ def world_to_ned(v: F64, frame: str) -> F64:
 def body_to_frd(v: F64, frame: str) -> F64:
     """Vectors given in `frame` (frd, flu) in FRD."""
     return v * np.array([1.0, -1.0, -1.0]) if frame == "flu" else v
+
+
+def headings(q: F64) -> F64:
+    """(N,) yaw in rad of attitudes (N, 4), scalar first; NED and FRD."""
+    w, x, y, z = q.T
+    return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))

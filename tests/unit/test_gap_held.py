@@ -13,7 +13,14 @@ from benchmarks.gap_cases import make, write
 from flightstack.gap import pooled
 from flightstack.gap.classes import confused_with, doubled, poorly_told
 from flightstack.gap.decisions import CLEARLY
-from flightstack.gap.held import fails_holdout, far_from_noise, interval_contains_nominal, slope, surrogate_terms
+from flightstack.gap.held import (
+    fails_holdout,
+    far_from_noise,
+    interval_contains_nominal,
+    mass_for_thrust,
+    slope,
+    surrogate_terms,
+)
 from flightstack.gap.judge import gain
 from flightstack.gap.naming.bench import simulator_bench
 from flightstack.gap.naming.candidates import plausible
@@ -343,3 +350,29 @@ def test_a_payload_of_half_the_vehicle_stands_for_rotors_that_are_no_stronger(sh
     drag was 16 g/s there and 11 elsewhere."""
     load = IdentifiedEffect("payload", {"mass_kg": Estimate(0.0, share * quad().mass_kg, 0.0, 2.0)}, -50.0, 0.1, 1e-9)
     assert surrogate_terms(quad(), [load], {}) == (("payload",) if proxy else ())
+
+
+@pytest.mark.parametrize(("pitch_rad", "proxy"), [(-0.24, True), (0.16, True), (-0.12, False)])
+def test_a_tilt_that_anybody_would_see_stands_for_a_push(pitch_rad: float, proxy: bool) -> None:
+    """In front of fans that blow at 8.5 m/s a sensor's tilt of 14 degrees was named, alone."""
+    tilt = {"roll_rad": Estimate(0.0, -0.02, -0.03, -0.01), "pitch_rad": Estimate(0.0, pitch_rad, -0.3, 0.2)}
+    tilt["yaw_rad"] = Estimate(0.0, 0.3, 0.2, 0.4)
+    named = IdentifiedEffect("attitude_misalignment", tilt, -50.0, 0.1, 1e-9)
+    assert surrogate_terms(quad(), [named], {}) == (("attitude_misalignment",) if proxy else ())
+
+
+def test_a_mass_in_place_of_a_thrust_scale_pulls_and_brakes_a_kilogram_as_hard() -> None:
+    """s T / m and d / m are T / (m + p) and d' / (m + p); torques are the file's again."""
+    mass_kg = quad().mass_kg
+    thrust = IdentifiedEffect("thrust_scale", {"scale": Estimate(1.0, 1.25, 1.2, 1.3)}, -50.0, 0.1, 1e-9, ("payload",))
+    drag = IdentifiedEffect("linear_drag", {"d_x_kgps": Estimate(0.0, 0.5, 0.4, 0.6)}, -50.0, 0.1, 1e-9)
+    tilt = IdentifiedEffect("attitude_misalignment", {"pitch_rad": Estimate(0.0, 0.04, 0.03, 0.05)}, -50.0, 0.1, 1e-9)
+    load, less, same = mass_for_thrust(quad(), [thrust, drag, tilt])
+    heavier_kg = mass_kg + load.parameters["mass_kg"].estimate
+    assert load.name == "payload"
+    assert load.indistinguishable_from == ("thrust_scale",)
+    assert 1.0 / heavier_kg == pytest.approx(1.25 / mass_kg)
+    assert less.parameters["d_x_kgps"].estimate / heavier_kg == pytest.approx(0.5 / mass_kg)
+    assert load.parameters["mass_kg"].low == pytest.approx(mass_kg / 1.3 - mass_kg)
+    assert load.parameters["mass_kg"].high == pytest.approx(mass_kg / 1.2 - mass_kg)
+    assert same == tilt
