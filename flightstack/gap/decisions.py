@@ -21,7 +21,6 @@ def decide(value: float, unit: str, why: str, changes: Changes = (0, 0, 0, 0, 0)
 # --- sizes that return
 TENTH = decide(0.1, "share", "what a good model of a good vehicle may be off by", (20, 0, 1, 0, 1))
 MOSTLY = 1.0 - TENTH
-ALL_OF_ONE = 1.0 - TENTH**2  # the same share in power as MOSTLY is in rms
 CLEARLY = (1.0 + TENTH) ** 2 - 1.0  # what a tenth of the rms is in power
 HALF = decide(0.5, "share", "the greater part: of a force, of a gap, of a flight, of what is no noise", (3, 0, 2, 0, 2))
 CLEAR_SHARE = decide(
