@@ -24,7 +24,7 @@ RUNS = 1
 _VEHICLE_PORT = 14580
 """PX4's end of the offboard link."""
 _INTERVAL, _ARM, _STICK_S = 511, 400, 0.04
-_ATTITUDE, _QUATERNION, _POSITION, _IMU, _ODOMETRY = 30, 31, 32, 105, 331
+_ATTITUDE, _QUATERNION, _POSITION, _IMU, _ODOMETRY, _FIXES = 30, 31, 32, 105, 331, 24
 LATE = Manner(up_s=0.015, down_s=0.015)
 
 
@@ -223,6 +223,10 @@ ATTACKS: dict[str, Attack] = {
     ),
     "ODOMETRY off by another station, then no GPS for 6 s": Attack(
         _straight(_after(_intervals(_ODOMETRY, every_us=-1.0), _gps_gone(6.0))), codes=(0, 1)
+    ),
+    "satellites' stream off by another station": Attack(_straight(_intervals(_FIXES, every_us=-1.0)), codes=(0,)),
+    "satellites' stream off by another station, then no GPS for 6 s": Attack(
+        _straight(_after(_intervals(_FIXES, every_us=-1.0), _gps_gone(6.0))), codes=(0, 1)
     ),
     "no GPS for 1 s": Attack(_straight(_gps_gone(1.0)), codes=(0, 1)),
     "no GPS for 6 s": Attack(_straight(_gps_gone(6.0)), codes=(0, 1)),
