@@ -269,10 +269,9 @@ def _with_mass_for_thrust(
     Beside a poor model the two are one class: both say how hard the rotors pull a kilogram.  A thrust scales what turns
     the vehicle as well, and there a wrong inertia, or rows too rare for a rate loop, speak louder.
     """
-    scale = {f.name: f for f in naming.found}.get("thrust_scale")
-    if scale is None or closed_by_channel(gap).get("force", 0.0) < HALF:
-        return naming, of, gap
     found = in_classes(mass_for_thrust(vehicle, naming.found), of.flights)
+    if not found or closed_by_channel(gap).get("force", 0.0) < HALF:
+        return naming, of, gap
     now = replace(naming, found=tuple(beside_a_poor_model(f) for f in found), vehicle=corrected(vehicle, found))
     after = held_out_gap(vehicle, now, of)
     better = not _is_worse(after) and closed_power(after) >= closed_power(gap) - TENTH

@@ -173,8 +173,13 @@ def _is_half(load: IdentifiedEffect, believed: Vehicle) -> bool:
 
 
 def mass_for_thrust(believed: Vehicle, found: Sequence[IdentifiedEffect]) -> tuple[IdentifiedEffect, ...]:
-    """The same forces by a mass in place of a thrust scale s: m / s for m, and what pushes by newtons 1 / s of it."""
-    scale = next(f.parameters["scale"] for f in found if f.name == "thrust_scale")
+    """The same forces by a mass in place of a thrust scale s: m / s for m, and what pushes by newtons 1 / s of it.
+
+    None where that is no mass to believe in, or the file has one of the two already.
+    """
+    scale = next((f.parameters["scale"] for f in found if f.name == "thrust_scale"), None)
+    if scale is None or scale.low <= 0.0 or {"thrust_scale", "payload"} & set(believed.effects):
+        return ()
 
     def load(value: float) -> float:
         return believed.mass_kg * (1.0 / value - 1.0)
@@ -189,7 +194,7 @@ def mass_for_thrust(believed: Vehicle, found: Sequence[IdentifiedEffect]) -> tup
             by = {p: _times(e, 1.0 / scale.estimate) for p, e in each.parameters.items()}
             each = replace(each, parameters=by)
         out.append(each)
-    return tuple(out)
+    return () if any(f.name == "payload" and _is_half(f, believed) for f in out) else tuple(out)
 
 
 _PUSHES = ("linear_drag", "parasitic_drag", "rotor_drag", "induced_inflow", "constant_force")

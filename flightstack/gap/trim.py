@@ -110,7 +110,7 @@ class _Balance:
         alone = _solved(fit, 0)
         judged = [_left(held, best.rotor, best.effectiveness, best.scale), _left(held, 0, 1.0, alone.scale)]
         balanced = best.left <= HALF**2 * alone.left and judged[0] <= HALF * judged[1]
-        if not (named or (balanced and best.effectiveness <= _WEAK)):
+        if judged[1] <= 0.0 or not (named or (balanced and best.effectiveness <= _WEAK)):
             return ()
         weak, scale = self._with_intervals(best.rotor)
         if weak.high >= 1.0:

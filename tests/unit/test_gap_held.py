@@ -35,7 +35,7 @@ from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect
 from flightstack.gap.simulate import prediction_error
 from flightstack.gap.workflow import analyse
 from flightstack.types import F64
-from flightstack.vehicle import Vehicle
+from flightstack.vehicle import Vehicle, with_effects
 from tests.gap_flights import as_samples, fly, hidden, hover, quad, wander
 from tests.thorough import ONLY_THEN, thorough
 
@@ -376,3 +376,20 @@ def test_a_mass_in_place_of_a_thrust_scale_pulls_and_brakes_a_kilogram_as_hard()
     assert load.parameters["mass_kg"].low == pytest.approx(mass_kg / 1.3 - mass_kg)
     assert load.parameters["mass_kg"].high == pytest.approx(mass_kg / 1.2 - mass_kg)
     assert same == tilt
+
+
+@pytest.mark.parametrize(
+    ("scale", "effects"),
+    [
+        (Estimate(1.0, 0.9, 0.0, 1.8), {}),
+        (Estimate(1.0, 0.55, 0.5, 0.6), {}),
+        (Estimate(0.8, 1.1, 1.0, 1.2), {"thrust_scale": {"scale": 0.8}}),
+        (Estimate(1.0, 1.1, 1.0, 1.2), {"payload": {"mass_kg": 0.1}}),
+    ],
+    ids=["perhaps no thrust at all", "half the vehicle", "file has a scale", "file has a payload"],
+)
+def test_no_mass_takes_the_place_of_a_thrust_that_none_could(
+    scale: Estimate, effects: dict[str, dict[str, float]]
+) -> None:
+    thrust = IdentifiedEffect("thrust_scale", {"scale": scale}, -50.0, 0.1, 1e-9)
+    assert mass_for_thrust(with_effects(quad(), effects), [thrust]) == ()
