@@ -21,7 +21,6 @@ from flightstack.gap.simulate import with_value
 from flightstack.gap.track import track
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
-from flightstack_logs.turn import headings
 
 _TRIED = 4
 
@@ -113,29 +112,6 @@ def confused_with(gone: Collection[IdentifiedEffect]) -> set[str]:
     names = {f.name for f in gone}
     groups = (group for group, _ in _SPLITS if group & names)
     return {twin for f in gone for twin in f.indistinguishable_from}.union(*groups) - names
-
-
-_STEADY = ("constant_force", "steady_wind", "accelerometer_bias", "attitude_misalignment")
-"""What pushes to one side all the time."""
-_TURNS = 0.9
-"""Mean resultant length of the headings below which they tell world from body: 26 degrees of deviation (Mardia)."""
-
-
-def on_one_heading(found: tuple[IdentifiedEffect, ...], flights: Sequence[Samples]) -> tuple[IdentifiedEffect, ...]:
-    """The names of a model that leaves something open, where no flight has turned: what pushes in the world, in the
-    body, or only seems to, is one class there.
-
-    In front of a wall of fans a vehicle that kept its heading was told a sensor's tilt of 14 degrees, alone.
-    """
-    heads = [headings(s.q_ned_frd[s.valid]) for s in flights]
-    yaw = np.concatenate(heads) if heads else np.empty(0)
-    yaw = yaw[np.isfinite(yaw)]
-    if not len(yaw) or abs(np.mean(np.exp(1j * yaw))) < _TURNS:
-        return found
-    names = {f.name for f in found}
-    felt = any("accel_frd_mps2" not in track(s).missing for s in flights)
-    twins = [n for n in _STEADY if n not in names and (felt or n != "accelerometer_bias")]
-    return tuple(together(f, tuple(twins)) if f.name in _STEADY else f for f in found)
 
 
 def has_gyro(flights: Sequence[Samples]) -> bool:

@@ -161,20 +161,26 @@ def _same_in_each(
         gone = [name for name in differing(naming.across) if name in {f.name for f in naming.found}]
         if not gone:
             break
-        naming = naming.without(gone[:1], "is not the same in each flight")
-        forces = _to_refine(naming, gap)
-        naming, of = _refined(vehicle, naming, of, forces) if forces else (naming, of)
-        gap = held_out_gap(vehicle, naming, of)
+        naming, of, gap = fitted_without(vehicle, (naming, of, gap), gone[:1], "is not the same in each flight")
     if len(of.flights) == 1 and not far_from_noise(gap):
         return naming, of, gap
     naming = naming.as_wide_as_it_varies()
     while unsure := interval_contains_nominal(naming.found):
-        naming = naming.without(unsure[-1:], "is not sure to be there: it differs that much from stretch to stretch")
-        forces = _to_refine(naming, gap)
-        naming, of = _refined(vehicle, naming, of, forces) if forces else (naming, of)
-        gap = held_out_gap(vehicle, naming, of)
+        reason = "is not sure to be there: it differs that much from stretch to stretch"
+        naming, of, gap = fitted_without(vehicle, (naming, of, gap), unsure[-1:], reason)
         naming = naming.as_wide_as_it_varies()
     return naming, of, gap
+
+
+def fitted_without(
+    vehicle: Vehicle, said: tuple[Selection, FitHoldoutSplit, Gap], gone: Sequence[str], reason: str
+) -> tuple[Selection, FitHoldoutSplit, Gap]:
+    """The verdict less these names, the others fitted and refined again."""
+    naming, of, gap = said
+    naming = naming.without(gone, reason)
+    names = _to_refine(naming, gap)
+    naming, of = _refined(vehicle, naming, of, names) if names else (naming, of)
+    return naming, of, held_out_gap(vehicle, naming, of)
 
 
 def _to_refine(naming: Selection, gap: Gap) -> list[str]:

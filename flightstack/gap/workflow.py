@@ -12,12 +12,15 @@ from pathlib import Path
 
 from flightstack.gap import gather, pooled
 from flightstack.gap.check import check
-from flightstack.gap.classes import on_one_heading, without_motors
+from flightstack.gap.classes import without_motors
 from flightstack.gap.concluded import OnProgress, concluded, held_out_gap, silent, without_bias
 from flightstack.gap.decisions import CLEAR_SHARE, MOSTLY
 from flightstack.gap.drifting import with_changing_gyro
+from flightstack.gap.held import far_from_noise
+from flightstack.gap.lift import told_by_lift
 from flightstack.gap.likeness import same_flight
 from flightstack.gap.name import DRIFTS, Selection
+from flightstack.gap.one_heading import on_one_heading, with_one_push
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.read import flight
 from flightstack.gap.records import Checked, Gap, Samples
@@ -58,8 +61,9 @@ def analyse(
         naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
     if not (held or naming.found) and naming.unexplained.significant:
         naming, of, gap = _split_by_what_is_off(vehicle, flights, (naming, of, gap), called)
-    naming, of, gap = told_by_trim(vehicle, (naming, of, gap))
-    if naming.unexplained.significant:
+    for told in (with_one_push, told_by_lift, told_by_trim):
+        naming, of, gap = told(vehicle, (naming, of, gap))
+    if naming.unexplained.significant or far_from_noise(gap):
         naming = replace(naming, found=on_one_heading(naming.found, of.flights))
     naming = with_changing_gyro(vehicle, naming, flights)
     on_progress(0.9, "drawing")

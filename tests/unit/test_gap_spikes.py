@@ -167,6 +167,20 @@ def test_a_pulse_width_of_0_is_no_thrust_and_a_flight_in_percent_is_no_row_of_wr
     assert out["motor"].value == pytest.approx(command)
 
 
+@pytest.mark.parametrize("ends", [1.7, 29.0, -12.0])
+def test_a_stream_that_ends_early_and_is_drawn_on_straight_is_no_flight_in_percent(ends: float) -> None:
+    """A published log's motors end 11 s before it and go on straight, to 29 times full command: taken for percent, the
+    whole was "landed, or motors too weak"."""
+    value = flight().signals["motor"].value.copy()
+    stops = 3 * len(value) // 4
+    value[stops:] = np.linspace(value[stops], ends, len(value) - stops)
+    out, said = _motor(value)
+    left = len(out["motor"].value)
+    assert stops <= left < stops + (len(value) - stops) // 2 + 200
+    assert np.array_equal(out["motor"].value[:stops], flight().signals["motor"].value[:stops])
+    assert said == [f"motor: {len(value) - left} of {len(value)} samples are no commands; left out"]
+
+
 def test_sixty_lost_bits_of_the_accelerometer_change_nothing_of_what_a_flight_says(tmp_path: Path) -> None:
     """A drag of 1.33, 1.71 and 2.04 kg/s is hidden; by its mean of 1.72 g such a log was no flight before."""
     case = make("one:linear_drag", 4_730_000)

@@ -11,7 +11,7 @@ from flightstack.gap.checks.clocks import longest_run
 from flightstack.gap.checks.grid import period_s
 from flightstack.gap.checks.motion import G_NED, band, integrated, motion, rate_hz, rates_of
 from flightstack.gap.checks.rotors import felt_gravity
-from flightstack.gap.decisions import EDGE_S, SMALL_SHARE
+from flightstack.gap.decisions import EDGE_S, HALF, SMALL_SHARE
 from flightstack.gap.records import Finding, Offset, Samples, Signal, refused, warning
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -67,7 +67,8 @@ def settle_motors(signals: Mapping[str, Signal]) -> tuple[dict[str, Signal], lis
         known = np.where(signal.value == 0.0, zero, signal.value)  # no pulse is no thrust
         off = _is_off(known, least, most)
         if np.mean(off) > SMALL_SHARE or longest_run(off) * period_s(signal) > 2.0 * EDGE_S:
-            continue
+            if name or not _flies_mostly(signal.value):
+                continue
         command = np.clip((known[~off] - zero) / (full - zero), 0.0, 1.0)
         out["motor"] = Signal(signal.t_s[~off], command, signal.source)
         findings = [warning("units", f"motors: were {name}; turned into commands 0 to 1")] if name else []
@@ -78,6 +79,12 @@ def settle_motors(signals: Mapping[str, Signal]) -> tuple[dict[str, Signal], lis
     low, high = (float(np.quantile(signal.value, share)) for share in (0.001, 0.999))
     text = f"motor commands from {low:.4g} to {high:.4g} are no commands 0 to 1; say their range with --columns FILE"
     return out, [refused("motors", text)]
+
+
+def _flies_mostly(value: F64) -> bool:
+    """Whether most rows are what rotors in flight are told: a stream that ends early may be drawn on straight to the
+    log's end, where percent and pulse widths have most rows at command 0 or beyond 1."""
+    return bool(np.mean(np.all((value > _BEYOND) & (value <= 1.0), axis=1)) > HALF)
 
 
 def _is_off(value: F64, least: float, most: float) -> NDArray[np.bool_]:
