@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from flightstack.gap.classes import together
-from flightstack.gap.concluded import fitted_without
-from flightstack.gap.held import far_from_noise, interval_contains_nominal
+from flightstack.gap.concluded import fitted_without, held_out_gap
+from flightstack.gap.held import far_from_noise, interval_contains_nominal, upright
 from flightstack.gap.name import Selection
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Gap, IdentifiedEffect, Samples
@@ -46,12 +46,15 @@ def with_one_push(vehicle: Vehicle, said: Said) -> Said:
 
 
 def _with_only(vehicle: Vehicle, said: Said, push: str) -> Said:
-    """The verdict with this of the pushes, the other names fitted again; what is then sure to be nothing goes, too."""
+    """The verdict with this of the pushes, the other names fitted again; what is then sure to be nothing, or a wind
+    that blows up or down, goes, too."""
     gone = [name for name in _pushes(said[0]) if name != push]
     while gone:
         said = fitted_without(vehicle, said, gone, "on one heading it is one class with another that is named")
-        gone = list(interval_contains_nominal(said[0].found)[-1:])
-    return said
+        found = said[0].found
+        gone = list(interval_contains_nominal(found)[-1:]) or [f.name for f in found if upright(f)]
+    naming = said[0].as_wide_as_it_varies().with_guessed_numbers()
+    return naming, said[1], held_out_gap(vehicle, naming, said[1])
 
 
 def _pushes(naming: Selection) -> list[str]:

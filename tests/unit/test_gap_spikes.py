@@ -15,6 +15,7 @@ from shipped import load_vehicle
 
 from benchmarks.gap_cases import as_csv, make
 from flightstack.gap.check import check
+from flightstack.gap.checks.conventions import settle
 from flightstack.gap.checks.quality import settle_motors
 from flightstack.gap.checks.spikes import without_spikes
 from flightstack.gap.records import Checked, Flight, Samples, Signal
@@ -179,6 +180,23 @@ def test_a_stream_that_ends_early_and_is_drawn_on_straight_is_no_flight_in_perce
     assert stops <= left < stops + (len(value) - stops) // 2 + 200
     assert np.array_equal(out["motor"].value[:stops], flight().signals["motor"].value[:stops])
     assert said == [f"motor: {len(value) - left} of {len(value)} samples are no commands; left out"]
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.3048])
+@pytest.mark.parametrize("factor", [6.2, 6.8, 7.4])
+def test_one_axis_that_is_off_makes_no_feet_of_metres(unit: float, factor: float) -> None:
+    """Of a published log ahead and to the side agree with what is felt (1.03 and 1.06), the height moves far more: all
+    three together say 0.33, which was a foot, and its drag came out three times too great."""
+    signals = flight().signals
+    stretched = np.array([1.0, 1.0, factor]) / unit
+    values = {name: signals[name].value * stretched for name in ("pos_ned_m", "vel_ned_mps")}
+    spoiled = {**signals, **{n: Signal(signals[n].t_s, value, n) for n, value in values.items()}}
+    t_s = signals["pos_ned_m"].t_s
+    out, findings = settle(spoiled, (float(t_s[0]), float(t_s[-1])))
+    said = [each.text for each in findings if each.name == "units"]
+    feet = ["velocity: was in ft/s; turned into m/s", "position: was in ft; turned into m"]
+    assert said == ([] if unit == 1.0 else feet)
+    assert out["vel_ned_mps"].value == pytest.approx(unit * values["vel_ned_mps"])
 
 
 def test_sixty_lost_bits_of_the_accelerometer_change_nothing_of_what_a_flight_says(tmp_path: Path) -> None:

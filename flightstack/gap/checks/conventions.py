@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flightstack.gap.checks.motion import G_NED, Motion, band, motion, rates_of
-from flightstack.gap.decisions import CONVENTION_CHANCE, CONVENTION_MARGIN, CONVENTION_NEARLY, CONVENTION_POOR
+from flightstack.gap.decisions import CONVENTION_CHANCE, CONVENTION_MARGIN, CONVENTION_NEARLY, CONVENTION_POOR, HALF
 from flightstack.gap.records import Finding, Signal, warning
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack_logs.turn import body_to_frd, multiply, rotate, world_to_ned
@@ -266,9 +266,25 @@ def _velocity_from_body(out: dict[str, Signal], columns: dict[str, F64], frame: 
     columns["vel_ned_mps"] = rotate(columns["q_ned_frd"], body_to_frd(columns["vel_ned_mps"], frame))
 
 
-def _unit_of(slope: float, units: Mapping[str, float]) -> str | None:
-    """The unit whose size explains that a should be b times `slope`, within 15 %."""
-    if slope <= 0.0:
+def _unit(a: F64, b: F64, dt_s: float, units: Mapping[str, float], least: float) -> str | None:
+    """The unit that b (N, 3) is in, where a in SI says so: by most of the axes on which the two agree, taken together.
+
+    One axis that is off makes no foot of a metre.
+    """
+    axes = [correlation(a[:, [k]], b[:, [k]], dt_s) for k in range(3)]
+    told = [_unit_of(each, units, least) for each in axes]
+    agreeing = [unit for unit, each in zip(told, axes, strict=True) if each[0] > least]
+    unit = max(agreeing or told, key=agreeing.count)
+    voting = [k for k in range(3) if unit and told[k] == unit]
+    if agreeing and len(voting) <= HALF * len(agreeing):
+        return None
+    return _unit_of(correlation(a[:, voting or [0, 1, 2]], b[:, voting or [0, 1, 2]], dt_s), units, least)
+
+
+def _unit_of(told: tuple[float, float, float], units: Mapping[str, float], least: float) -> str | None:
+    """The unit whose size explains that a should be b times the slope, within 15 %, where they agree by `least`."""
+    agree, slope, _ = told
+    if agree <= least or slope <= 0.0:
         return None
     distance = {unit: abs(float(np.log(slope * size))) for unit, size in units.items()}
     best = min(distance, key=lambda unit: distance[unit])
@@ -279,10 +295,8 @@ def _rates_unit(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -
     if "rate_frd_radps" not in seen:
         return seen
     dt_s = seen.dt_s
-    agree, slope, _ = correlation(
-        _limited(rates_of(seen["q_ned_frd"], dt_s), dt_s), _limited(seen["rate_frd_radps"], dt_s), dt_s
-    )
-    unit = _unit_of(slope, _ANGULAR_UNITS) if agree > 0.5 else None
+    turning = _limited(rates_of(seen["q_ned_frd"], dt_s), dt_s)
+    unit = _unit(turning, _limited(seen["rate_frd_radps"], dt_s), dt_s, _ANGULAR_UNITS, 0.5)
     if unit is None:
         return seen
     columns = dict(seen.columns)
@@ -306,8 +320,7 @@ def _velocity_unit(out: dict[str, Signal], seen: Motion, findings: list[Finding]
         return seen
     dt_s = seen.dt_s
     felt = _limited(rotate(seen["q_ned_frd"], seen["accel_frd_mps2"]) + G_NED, dt_s)
-    agree, slope, _ = correlation(felt, _limited(np.gradient(seen["vel_ned_mps"], dt_s, axis=0), dt_s), dt_s)
-    unit = _unit_of(slope, _SPEED_UNITS) if agree > 0.6 else None
+    unit = _unit(felt, _limited(np.gradient(seen["vel_ned_mps"], dt_s, axis=0), dt_s), dt_s, _SPEED_UNITS, 0.6)
     if unit is None:
         return seen
     columns = dict(seen.columns)
@@ -322,12 +335,8 @@ def _position(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
         return
     dt_s = seen.dt_s
     velocity = _limited(seen["vel_ned_mps"], dt_s)
-    given = {
-        frame: correlation(
-            velocity, _limited(np.gradient(world_to_ned(seen["pos_ned_m"], frame), dt_s, axis=0), dt_s), dt_s
-        )
-        for frame in _VECTORS
-    }
+    change = _limited(np.gradient(seen["pos_ned_m"], dt_s, axis=0), dt_s)
+    given = {frame: correlation(velocity, world_to_ned(change, frame), dt_s) for frame in _VECTORS}
     agreed = {frame: each[0] if each[0] > CONVENTION_CHANCE else 0.0 for frame, each in given.items()}
     best = max(agreed, key=lambda frame: agreed[frame])
     if _is_better(agreed[best], agreed["ned"]):
@@ -335,7 +344,7 @@ def _position(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
         findings.append(warning("frames", f"position: was {best.upper()}; turned into NED"))
     else:
         best = "ned"
-    unit = _unit_of(given[best][1], _LENGTH_UNITS) if given[best][0] > 0.6 else None
+    unit = _unit(velocity, world_to_ned(change, best), dt_s, _LENGTH_UNITS, 0.6)
     if unit is not None:
         _turn(out, dict(seen.columns), "pos_ned_m", lambda v: v / _LENGTH_UNITS[unit])
         findings.append(warning("units", f"position: was in {unit}; turned into m"))
