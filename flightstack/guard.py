@@ -9,6 +9,7 @@ It knows the model's numbers and the limits, nothing of controller, learner or f
 | tilt beyond `tilt_abort_rad`                            | brake: lean against the velocity, sink at 0.5 m/s        |
 | position outside `radius_m`, `height_m`                 | brake, as the safety filter lets it pass                 |
 | command not finite                                      | brake                                                    |
+| tilt beyond 60 degrees as well                          | level and brake: less thrust, from 90 degrees the least  |
 | thrust or rates outside their limits                    | clip: the nearest allowed ones                           |
 
 Outside the envelope a certificate still holds: the stack asks `turn_back` before the filter, so that the brake keeps
@@ -158,8 +159,8 @@ def _judge(
         return _ATTITUDE, carried
     still = np.zeros(3)
     if lost or not (_finite(pos) and _finite(vel)):
-        _lean(q, still, bounds, out)
-        return _POSITION, max(_LEVEL_SINK_SHARE * carried, bounds[_THRUST_LEAST])
+        cosine = _lean(q, still, bounds, out)
+        return _POSITION, max(_LEVEL_SINK_SHARE * carried * _upright(cosine), bounds[_THRUST_LEAST])
     code = _PASS
     if not turned and _outside(pos, origin, bounds):
         code = _ENVELOPE
@@ -170,7 +171,8 @@ def _judge(
     if code != _PASS:
         cosine = _lean(q, vel, bounds, out)
         wanted = carried + bounds[_MASS] * _SINK_GAIN_PS * (vel[2] - _SINK_MPS)
-        return code, min(max(wanted / max(cosine, 0.5), bounds[_THRUST_LEAST]), bounds[_THRUST_MOST])
+        wanted *= _upright(cosine) / max(cosine, 0.5)
+        return code, min(max(wanted, bounds[_THRUST_LEAST]), bounds[_THRUST_MOST])
     clipped = min(max(thrust, bounds[_THRUST_LEAST]), bounds[_THRUST_MOST])
     if clipped != thrust or not 0.0 <= thrust_norm <= 1.0:
         code = _CLIP
@@ -179,6 +181,12 @@ def _judge(
         if out[i] != rate[i]:
             code = _CLIP
     return code, clipped
+
+
+@njit
+def _upright(cosine: float) -> float:
+    """Share of the thrust that is worth sending: 1 up to 60 degrees of tilt, 0 from 90 on, where it pushes down."""
+    return min(max(2.0 * cosine, 0.0), 1.0)
 
 
 @njit

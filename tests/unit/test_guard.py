@@ -176,6 +176,19 @@ def test_braking_leans_against_the_velocity_and_counters_a_fall() -> None:
     assert falling.thrust_n == pytest.approx(MODEL.weight_n + 1.2 * 3.0 * 0.5)
 
 
+@pytest.mark.parametrize("lost_us", [0, 10**6])
+@pytest.mark.parametrize("roll_deg", [81.0, 95.0, 120.0, 150.0, 180.0, -140.0])
+def test_tipped_over_its_thrust_does_not_drive_it_to_the_ground(roll_deg: float, lost_us: int) -> None:
+    """Falling at 6 m/s, by Newton: beyond 90 degrees it gains no more on a stone than the least thrust that steers
+    gives; a real PX4, tipped over 5 m up, met the ground at 7.8 m/s: nine tenths of its thrust, upside down."""
+    q = quat_from_euler(math.radians(roll_deg), 0.0, 0.0)
+    command, name = check(q_ned_frd=q, vel_ned_mps=np.array([0.0, 0.0, 6.0]), position_age_us=lost_us)
+    assert name in ("brake: tilt", "level: position lost")
+    upwards_n = command.thrust_n * math.cos(math.radians(roll_deg))
+    assert upwards_n >= -LOW
+    assert command.thrust_n >= LOW, "it still steers"
+
+
 def test_the_thrust_that_carries_is_learned_within_a_few_seconds() -> None:
     """Held at 1.4 weights and level, a first-order lag of 1 s: 1 - exp(-3) of the way after 3 s."""
     carried = MODEL.weight_n
