@@ -281,8 +281,8 @@ def _why_refused(now: Situation, command: px4.Cmd, now_us: int) -> str:
 
 def _offboard(now: Situation, now_us: int) -> Decision | None:
     view = now.view
-    if view.heartbeat_at_us > now.entered_us and not view.armed:
-        return Decision(HandshakeEvent.TOOK_OVER, "the vehicle was disarmed by someone else")
+    if ended := view.ended_by_others(now.entered_us):
+        return Decision(HandshakeEvent.TOOK_OVER, ended + (_says(view, now_us, 3) if view.armed else ""))
     if now.stalls.is_held:
         return _held(now, now_us)
     if view.mode_at_us > now.entered_us and not view.in_offboard:
@@ -313,8 +313,8 @@ def _held(now: Situation, now_us: int, *, is_taking_back: bool = False) -> Decis
 
 def _retaking(now: Situation, now_us: int) -> Decision | None:
     view, stalls = now.view, now.stalls
-    if view.heartbeat_at_us > now.entered_us and not view.armed:
-        return Decision(HandshakeEvent.TOOK_OVER, "the vehicle was disarmed by someone else")
+    if ended := view.ended_by_others(now.entered_us):
+        return Decision(HandshakeEvent.TOOK_OVER, ended)
     if stalls.is_held:
         return _held(now, now_us, is_taking_back=True)
     asked_us = now.commands.status(px4.Cmd.DO_SET_MODE).sent_us
@@ -334,9 +334,9 @@ def _retaking(now: Situation, now_us: int) -> Decision | None:
 def _landing(now: Situation, now_us: int) -> Decision | None:
     view = now.view
     why = f"{now.landing_for}; " if now.landing_for else ""
-    if view.heartbeat_at_us > now.entered_us and not view.armed:
-        if why.startswith(_FALL) and _in_state_s(now, now_us) < _DISARMS_AFTER_S:
-            return Decision(HandshakeEvent.TOOK_OVER, f"{why}the vehicle was disarmed by someone else")
+    if (ended := view.ended_by_others(now.entered_us)) and not (view.armed and view.on_ground):
+        if view.armed or (why.startswith(_FALL) and _in_state_s(now, now_us) < _DISARMS_AFTER_S):
+            return Decision(HandshakeEvent.TOOK_OVER, f"{why}{ended}")
         return Decision(HandshakeEvent.DISARMED)
     settled = view.mode_at_us > now.entered_us + SECOND_US // 2
     if settled and view.custom_mode not in (px4.MODE_LAND, px4.MODE_OFFBOARD):
@@ -365,8 +365,7 @@ def landing_limit_s(height_m: float) -> float:
 
 def _holding(now: Situation, now_us: int) -> Decision | None:
     view = now.view
-    is_disarmed = view.heartbeat_at_us > now.entered_us and not view.armed
-    if is_disarmed or (view.mode_at_us > now.entered_us and not view.in_offboard):
+    if view.ended_by_others(now.entered_us) or (view.mode_at_us > now.entered_us and not view.in_offboard):
         return Decision(HandshakeEvent.HANDED_OVER)
     if _in_state_s(now, now_us) > now.config.link_loss_s:
         return Decision(HandshakeEvent.TIMEOUT)

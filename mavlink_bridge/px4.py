@@ -12,6 +12,8 @@ COMPONENT_AUTOPILOT = 1
 COMPONENT_GCS = 190
 
 ARMED_BIT = 0x80
+STATE_TERMINATED = 8
+"""HEARTBEAT's system_status (MAV_STATE): terminated, killed, or locked down, armed or not."""
 
 MAIN_OFFBOARD = 6
 MODE_OFFBOARD = 0x00060000

@@ -14,7 +14,7 @@ from flightstack.types import STANDARD_GRAVITY_MPS2
 from mavlink_bridge import messages as m
 from mavlink_bridge.command_latency import CommandLatency
 from mavlink_bridge.command_way import CommandWay
-from mavlink_bridge.px4 import ARMED_BIT, MAIN_OFFBOARD, describe_mode, main_mode
+from mavlink_bridge.px4 import ARMED_BIT, MAIN_OFFBOARD, STATE_TERMINATED, describe_mode, main_mode
 from mavlink_bridge.vehicle_clock import VehicleClock
 from mavlink_bridge.vehicle_params import ParamReader
 
@@ -75,6 +75,16 @@ class VehicleView:
     def armed(self) -> bool:
         """Armed according to the last heartbeat (1 Hz)."""
         return self.heartbeat is not None and bool(self.heartbeat.base_mode & ARMED_BIT)
+
+    def ended_by_others(self, since_us: int) -> str:
+        """Why nothing that is sent flies the vehicle any more, by a heartbeat after local time `since_us`; empty: it
+        does.  Killed or terminated by a failsafe PX4 stays armed and shows the mode of before."""
+        if self.heartbeat is None or self.heartbeat_at_us <= since_us:
+            return ""
+        if not self.armed:
+            return "the vehicle was disarmed by someone else"
+        stopped = self.heartbeat.system_status == STATE_TERMINATED
+        return "the vehicle's motors are stopped (kill switch or flight termination): hands off" if stopped else ""
 
     @property
     def in_offboard(self) -> bool:

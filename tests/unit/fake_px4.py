@@ -32,6 +32,8 @@ class FakePx4:
     armed: bool = False
     mode: int = HOLD
     landed: int = 1
+    status: int = 4
+    """HEARTBEAT's MAV_STATE; 8: its motors are stopped, by a kill switch or a flight termination."""
     intended: int | None = None
     """The mode that it goes back to when setpoints arrive; None: the present one."""
     tells_mode: bool = True
@@ -93,7 +95,9 @@ class FakePx4:
         self._ticks += 1
 
     def _send_heartbeat(self) -> None:
-        self.link.send(m.Heartbeat(self.type, self.autopilot, 0x01 | (0x80 if self.armed else 0), self.mode, 4))
+        self.link.send(
+            m.Heartbeat(self.type, self.autopilot, 0x01 | (0x80 if self.armed else 0), self.mode, self.status)
+        )
 
     def _send_state(self, now_us: int) -> None:
         """Level where `motion` says, with the least noise that a float can show: an estimate never repeats itself."""

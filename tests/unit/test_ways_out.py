@@ -97,7 +97,27 @@ def test_a_pilots_mode_ends_the_flight_at_once_and_for_good(mode: int) -> None:
     assert len(vehicle.commands) == said
 
 
-def test_a_pilots_kill_switch_ends_the_flight_and_nothing_arms_again() -> None:
+@pytest.mark.parametrize("landing", [False, True])
+def test_stopped_motors_end_the_flight_and_nothing_more_is_sent(landing: bool) -> None:
+    """The kill switch, or PX4's own fence that terminates: as on a real PX4 it stays armed and in the mode of before,
+    and the switch, released, would give the motors back to whatever is sent."""
+    flight = flying()
+    companion, _, vehicle, now = flight
+    vehicle.landed = 2
+    if landing:
+        companion.stop("enough")
+        flight = flight._replace(now_us=exchange(companion, vehicle, 2.0, start_us=now))
+        assert companion.state is State.LANDING
+    after_s = _silent_after(flight, lambda vehicle: setattr(vehicle, "status", 8))
+    assert after_s <= (FAULTS["pilot-kill"].after_s or 0.0) + 0.01
+    assert companion.state is State.PILOT
+    assert "motors are stopped" in companion.reason
+    said = len(vehicle.commands)
+    assert _silent_after(flight, lambda vehicle: setattr(vehicle, "status", 4)) == 0.0
+    assert len(vehicle.commands) == said
+
+
+def test_a_vehicle_that_is_disarmed_ends_the_flight_and_nothing_arms_again() -> None:
     flight = flying()
     vehicle = flight.vehicle
     armings = len(vehicle.set_modes(400))
