@@ -7,7 +7,8 @@ operation on the same types has the same signature everywhere, so here it is rem
 A function that only compiled callers call is linked into each of them as intermediate code and optimised there.  numba
 makes machine code of it all the same, which nobody ever runs: a third of the simulator's compiling.  Left out, the
 caller's arithmetic is the same in IEEE order, but not where sums may be taken in another (`njit_vector`): the
-intermediate code of what such a function calls would be another one.
+intermediate code of what such a function calls would be another one.  All of those are the Gaussian process's and call
+nothing of the project from elsewhere, so machine code is made of everything there and of numba's own.
 
 Processes that compile side by side keep their code one after the other: numba reads a function's index, takes the next
 free number and writes both, and of two that do so at once one may find the other's code under its own signature.
@@ -18,7 +19,7 @@ from __future__ import annotations
 import fcntl
 import gc
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from typing import Any
 from weakref import WeakSet
 
@@ -33,6 +34,8 @@ from flightstack.jit import cache_folder
 _PURE = ("_operator", "math", "builtins")
 """Modules whose functions' signatures depend on the arguments' types and nothing else."""
 _COLLECTED_AFTER = (20_000, 50, 100)
+_VECTORS = "flightstack.gp."
+"""Where every `njit_vector` is, and what those call."""
 _ENVIRONMENT = "_ZN08NumbaEnv"
 """How names of global variables begin that point to what a function needs of Python's."""
 
@@ -40,7 +43,7 @@ _ENVIRONMENT = "_ZN08NumbaEnv"
 @contextmanager
 def quick_compiling(strict: bool = False) -> Iterator[None]:
     """All of it, meanwhile; `strict`: nothing is compiled whose sums may be taken in another order."""
-    with typed_once(), kept_in_turn(), seldom_collected(), linked_only() if strict else nullcontext():
+    with typed_once(), kept_in_turn(), seldom_collected(), linked_only(strict):
         yield
 
 
@@ -56,14 +59,19 @@ def seldom_collected() -> Iterator[None]:
 
 
 @contextmanager
-def linked_only() -> Iterator[None]:
-    """Of a function without a wrapper for Python no machine code is made meanwhile, and its callers optimise it."""
+def linked_only(strict: bool = True) -> Iterator[None]:
+    """Of a function without a wrapper for Python no machine code is made meanwhile, and its callers optimise it.
+
+    Unless `strict` of the project's only, but for what may take sums in another order and what that calls.
+    """
     linked = WeakSet[Any]()
     lower, optimise = BaseNativeLowering.run_pass, CPUCodeLibrary._optimize_final_module
     finish, set_env = CPUCodeLibrary._finalize_final_module, JITCPUCodegen.set_env
 
     def run_pass(self: Any, state: Any) -> Any:
-        if state.library is None and state.flags.no_cpython_wrapper and not state.flags.fastmath.flags:
+        name = state.func_id.modname or ""
+        ordered = strict or not name.startswith(("numba.", _VECTORS))
+        if state.library is None and _is_linked_only(state.flags) and ordered:
             state.library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
             linked.add(state.library)
         return lower(self, state)
@@ -96,6 +104,11 @@ def linked_only() -> Iterator[None]:
         (JITCPUCodegen, set_env_of_code),
     ):
         yield
+
+
+def _is_linked_only(flags: Any) -> bool:
+    """Whether only compiled callers call what is compiled so, C's among those that need its address."""
+    return flags.no_cpython_wrapper and flags.no_cfunc_wrapper and not flags.fastmath.flags
 
 
 @contextmanager

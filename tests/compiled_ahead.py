@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba.core import sigutils
 
 from benchmarks import gap_flights
 from benchmarks.oracle import Oracle
@@ -29,14 +30,16 @@ from flightstack.trajectory import hover
 from flightstack.types import Command
 from flightstack.vehicle import with_effects
 from flightstack_sim.batch import BatchClosedLoop, BatchPlant
+from flightstack_sim.plant import NativePlant
 from tests.gap_flights import quad
 from tests.unit.measured import measured
 
 
 def batches() -> None:
-    """Fleets with and without effects in the loop, gusts among them."""
+    """Fleets with and without effects in the loop, gusts among them; and one vehicle's runs of steps."""
     windy = with_effects(quad(), {"turbulence": {"sigma_mps": 1.0, "length_m": 10.0}, "payload": {"mass_kg": 0.1}})
     path = np.array([hover((0.0, 0.0, -2.0)).at(0.0).row] * 2)
+    NativePlant(quad(), seed=0).run(np.full(4, 0.6), 1)
     for vehicle in (quad(), windy):
         BatchPlant([vehicle], seed=0).step(np.full((1, 4), 0.6))
         BatchClosedLoop(quad(), [vehicle]).fly(path)
@@ -55,6 +58,7 @@ def processes() -> None:
         process.predict(x[0])
         process.rebuild()
         process.remove(least_relevant(process, x[1]))
+        process.remove(0)
         log_marginal_likelihood(kernel, 0.01, x, y)
         flat, lines = kernel.program(2), np.empty((2, len(x)))
         program.gradient(flat, x, np.eye(len(x)))
@@ -81,9 +85,8 @@ def small_ones() -> None:
 
 def drawn_flights() -> None:
     """The loop that flies the gap workflow's drawn cases."""
-    gap_flights._fly.compile(
-        "(f8[::1], f8[::1], f8[::1], i8, f8[:,::1], f8[::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])"
-    )
+    kinds = "(f8[::1], f8[::1], f8[::1], i8, f8[:,::1], f8[::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])"
+    gap_flights._fly.compile(sigutils.normalize_signature(kinds)[0])  # numba keeps a text's code under the text
 
 
 if __name__ == "__main__":

@@ -20,9 +20,10 @@ from numba.core.caching import NullCache
 import flightstack_sim
 from flightstack import quick_compiling
 from flightstack.cli import compiled
-from flightstack.jit import machine_key, njit
+from flightstack.jit import _named_modules, machine_key, njit
 from flightstack.quick_compiling import typed_once
 
+ROOT = Path(__file__).resolve().parents[2]
 SIMULATOR_FILES = [
     *Path(flightstack_sim.__file__).parent.rglob("*.py"), *Path(quick_compiling.__file__).parent.glob("effects/*.py")
 ]  # fmt: skip
@@ -158,6 +159,43 @@ def test_what_is_only_linked_computes_the_same_and_has_no_machine_code_of_its_ow
         expected += math.sqrt(value) / 3.0
     assert linked == expected
     assert _checked_root(4.0) == 2.0  # for Python it is compiled with its wrapper, as ever
+
+
+def test_what_a_sum_in_another_order_may_be_made_of_has_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    finish = quick_compiling.JITCPUCodegen._add_module
+    monkeypatch.setattr(
+        quick_compiling.JITCPUCodegen, "_add_module", lambda self, m: (made.append(m.name), finish(self, m))[1]
+    )
+    for where, code in (("elsewhere", ["_twice_the_roots"]), (__name__, ["_root_of", "_twice_the_roots"])):
+        monkeypatch.setattr(quick_compiling, "_VECTORS", where)
+        made.clear()
+        with quick_compiling.linked_only(strict=False):
+            root = numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=True)(_root_of)
+
+            def _twice_the_roots(x: float, root: Any = root) -> float:
+                return 2.0 * float(root(x)) + float(root(x + 1.0))
+
+            assert numba.njit(_twice_the_roots)(4.0) == 4.0 + math.sqrt(5.0)
+        assert sorted({name.split(".")[-1] for name in made if "root" in name}) == code
+
+
+def _root_of(x: float) -> float:
+    return math.sqrt(x)
+
+
+def test_whatever_takes_sums_in_another_order_is_where_machine_code_is_made() -> None:
+    """What such a function calls is imported by its module; of the project that is the same package's."""
+    package = quick_compiling._VECTORS.rstrip(".")
+    for path in ROOT.glob("[!.t]*/**/*.py"):
+        text = path.read_text()
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        if "@njit_vector" not in text:
+            continue
+        assert module.startswith(package + ".")
+        named = {name for name in _named_modules(text) if "." in name}
+        plain = ("flightstack.jit", "flightstack.types")
+        assert all(name.startswith((package, *plain)) for name in named), named
 
 
 def test_only_a_part_that_takes_every_sum_in_its_order_is_compiled_by_linking(
