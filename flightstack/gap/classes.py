@@ -91,6 +91,7 @@ mass and a thrust scale differ in the torques only.  It takes a gyro, and a mode
 
 
 DRAGS = ("linear_drag", "rotor_drag", "parasitic_drag")
+_ORDER = ("linear_drag", "rotor_drag")
 
 
 def poorly_told(effects: Collection[str]) -> set[str]:
@@ -99,8 +100,12 @@ def poorly_told(effects: Collection[str]) -> set[str]:
 
 
 def beside_a_poor_model(found: IdentifiedEffect) -> IdentifiedEffect:
-    """A named effect of a model far from the noise: its class holds what only a good model tells from it."""
-    for effects in POORLY_TOLD:
+    """A named effect of a model far from the noise: its class holds what only a good model tells from it.
+
+    So it is with a drag's order: of 45 flights of one Crazyflie (NanoBench) 24 were told a linear drag, 21 one of the
+    rotors, most of them as sure.
+    """
+    for effects in (*POORLY_TOLD, _ORDER):
         found = together(found, effects) if found.name in effects else found
     return (
         together(found, ("com_offset",)) if found.name == "blade_flapping" else found

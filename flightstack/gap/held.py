@@ -148,15 +148,14 @@ def surrogate_terms(
     Those that stand at the end of their range, those whose size changes from stretch to stretch (`constant`: p-values
     of its being the same), a wind that blows up or down more than along: no steady wind goes through the ground,
     a wind beside a constant force: what is left of two forces that are alike is a torque, or nothing, a payload of half
-    the vehicle: who weighs a vehicle would have noticed it, how strong rotors are few have measured, a thrust scale
-    with which all rotors at full command would not lift it, and a tilt between sensors and body that can be seen.
+    the vehicle: who weighs a vehicle would have noticed it, how strong rotors are few have measured, and a tilt between
+    sensors and body that can be seen.
     """
     ends = at_bound(believed, found)
     names = {f.name for f in found}
     gone = {f.name for f in found if f.name in ends or constant.get(f.name, 1.0) < FICKLE_P or upright(f)}
     gone |= {"steady_wind"} if names >= {"steady_wind", "constant_force"} else set()
     gone |= {f.name for f in found if f.name == "payload" and _is_half(f, believed)}
-    gone |= {f.name for f in found if f.name == "thrust_scale" and _lifts_nothing(f, believed)}
     gone |= {f.name for f in found if f.name == "attitude_misalignment" and _is_seen(f)}
     return tuple(f.name for f in found if f.name in gone)
 
@@ -171,10 +170,6 @@ def _is_seen(tilt: IdentifiedEffect) -> bool:
 
 def _is_half(load: IdentifiedEffect, believed: Vehicle) -> bool:
     return abs(load.parameters["mass_kg"].estimate) > HALF * believed.mass_kg
-
-
-def _lifts_nothing(scale: IdentifiedEffect, believed: Vehicle) -> bool:
-    return scale.parameters["scale"].estimate * believed.max_total_thrust_n < believed.weight_n
 
 
 def mass_for_thrust(believed: Vehicle, found: Sequence[IdentifiedEffect]) -> tuple[IdentifiedEffect, ...]:

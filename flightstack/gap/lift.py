@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from flightstack.gap.classes import together, without_motors
 from flightstack.gap.compare import residual
-from flightstack.gap.concluded import held_out_gap
+from flightstack.gap.concluded import fitted_without, held_out_gap
 from flightstack.gap.decisions import HALF, SMALL_SHARE, SURE_ERRORS, TENTH
 from flightstack.gap.held import corrected
 from flightstack.gap.name import Selection
@@ -36,11 +36,10 @@ _STRETCHES = 6
 _SCALES = (1.0, 0.5)
 """Two at which the vertical force is looked at: it is a straight line in the scale."""
 Mask = NDArray[np.bool_]
+Said = tuple[Selection, FitHoldoutSplit, Gap]
 
 
-def told_by_lift(
-    vehicle: Vehicle, said: tuple[Selection, FitHoldoutSplit, Gap]
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+def told_by_lift(vehicle: Vehicle, said: Said) -> Said:
     """The verdict with the thrust scale that carries the vehicle, where what is named does not; else `said`."""
     naming, of, before = said
     known = {"thrust_scale", "payload"} & set(vehicle.effects) or any(f.name == "payload" for f in naming.found)
@@ -48,7 +47,7 @@ def told_by_lift(
         return said
     scale = _balancing(naming.vehicle, of)
     if scale is None:
-        return said
+        return _without_what_lifts_nothing(vehicle, said)
     others = tuple(f for f in naming.found if f.name != "thrust_scale")
     evidence = {r.name: r.delta_bic for r in naming.rejected} | {f.name: f.delta_bic for f in naming.found}
     found = (_named(scale, evidence.get("thrust_scale", 0.0), of, naming.vehicle), *others)
@@ -62,6 +61,14 @@ def told_by_lift(
     if closed_power(gap) < max(HALF, closed_power(before)):
         return said
     return replace(now, unexplained=unexplained(naming.unexplained, gap, named=True)), of, gap
+
+
+def _without_what_lifts_nothing(vehicle: Vehicle, said: Said) -> Said:
+    """The verdict less a thrust scale with which all rotors at full command would not lift the vehicle."""
+    scale = next((f.parameters["scale"].estimate for f in said[0].found if f.name == "thrust_scale"), 1.0)
+    if scale * vehicle.max_total_thrust_n >= vehicle.weight_n or scale >= 1.0:
+        return said
+    return fitted_without(vehicle, said, ("thrust_scale",), "at full command the rotors would not lift the vehicle")
 
 
 def _named(scale: Estimate, evidence: float, of: FitHoldoutSplit, was: Vehicle) -> IdentifiedEffect:

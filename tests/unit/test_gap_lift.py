@@ -10,7 +10,7 @@ from functools import cache
 
 import pytest
 
-from flightstack.gap import pooled
+from flightstack.gap import lift, pooled
 from flightstack.gap.held import corrected
 from flightstack.gap.lift import told_by_lift
 from flightstack.gap.name import Selection, name
@@ -80,6 +80,16 @@ def test_a_scale_that_nearly_carries_it_stays_and_so_does_one_beside_which_nothi
 ) -> None:
     verdict = said(scale, left)
     assert told_by_lift(quad(), verdict) is verdict
+
+
+def test_where_no_scale_balances_one_that_would_lift_nothing_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a flight of others 0.01 was named, where all rotors at full command lift 2.4 weights."""
+    monkeypatch.setattr(lift, "_balancing", lambda vehicle, of: None)
+    least = quad().weight_n / quad().max_total_thrust_n
+    for scale, gone in ((0.9 * least, True), (1.1 * least, False)):
+        naming, _, _ = told_by_lift(quad(), said(scale))
+        assert ("thrust_scale" not in {f.name for f in naming.found}) is gone
+        assert "linear_drag" in {f.name for f in naming.found}
 
 
 def test_far_from_the_noise_on_one_heading_a_push_is_named_once_in_a_class_with_the_others() -> None:

@@ -1,5 +1,5 @@
 """What a vehicle that flew tells of names: one heading all the time makes one class of all that pushes, one of the
-four at most is named, and thrust that would not have lifted it is none."""
+four at most is named, and no order of a drag is told beside more."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from shipped import load_vehicle
 
 from flightstack.gap.check import check
-from flightstack.gap.held import surrogate_terms
+from flightstack.gap.classes import beside_a_poor_model
 from flightstack.gap.one_heading import on_one_heading
 from flightstack.gap.records import Estimate, IdentifiedEffect, Samples
 from flightstack_logs.turn import headings, multiply
@@ -62,11 +62,10 @@ def test_headings_are_yaw_from_north_to_east() -> None:
     assert headings(quarter) == pytest.approx([math.pi / 2, 0.0])
 
 
-@pytest.mark.parametrize(("share", "gone"), [(0.9, True), (1.1, False)])
-def test_a_thrust_scale_with_which_nothing_would_have_flown_stands_for_something_else(share: float, gone: bool) -> None:
-    """Of two flights of others 0.01 and 0.16 were named, where all rotors at full command lift 2.4 weights."""
-    vehicle = load_vehicle("quad-x")
-    scale = share * vehicle.mass_kg * 9.81 / (4.0 * vehicle.rotors.max_thrust_n)
-    told = {"scale": Estimate(1.0, scale, scale - 0.02, scale + 0.02)}
-    named = [IdentifiedEffect("thrust_scale", told, -50.0, 0.1, 1e-9)]
-    assert surrogate_terms(vehicle, named, {}) == (("thrust_scale",) if gone else ())
+@pytest.mark.parametrize(("name", "twin"), [("linear_drag", "rotor_drag"), ("rotor_drag", "linear_drag")])
+def test_beside_a_poor_model_no_order_of_a_drag_is_told(name: str, twin: str) -> None:
+    (drag,) = named(name)
+    assert beside_a_poor_model(drag).indistinguishable_from == (twin,)
+    assert "three airspeeds" in beside_a_poor_model(drag).manoeuvre
+    (sensor,) = named("gyro_bias")
+    assert beside_a_poor_model(sensor) is sensor
