@@ -91,24 +91,27 @@ def parse_address(text: str) -> UdpIn | UdpOut | Serial:
 def open_address(address: UdpIn | UdpOut | Serial | str, signer: Signer | None = None) -> Transport:
     """The transport at an address; InputError where it can't be opened.
 
-    `udpin` answers the first autopilot for life; with a `signer` the first one that signs rightly.
+    `udpin` answers the first autopilot for life (a router on this machine may change its port); with a `signer` the
+    first one that signs rightly.
     """
     if isinstance(address, str):
         address = parse_address(address)
     if isinstance(address, Serial):
         return SerialPort.open(address.device, address.baud)
     if isinstance(address, UdpIn):
-        return UdpSocket.bind(address.host, address.port, greets=partial(_is_of_autopilot, signer), drop_foreign=True)
+        greets = partial(_system_of_autopilot, signer)
+        return UdpSocket.bind(address.host, address.port, greets=greets, drop_foreign=True, follow=True)
     near = LOOPBACK if _is_loopback(address.host) else _ANY
     return UdpSocket.bind(near, 0, peer=(address.host, address.port), latch=False, drop_foreign=True)
 
 
-def _is_of_autopilot(signer: Signer | None, data: bytes) -> bool:
-    """Whether a datagram begins with a frame of an autopilot; anything may arrive before the vehicle speaks."""
+def _system_of_autopilot(signer: Signer | None, data: bytes) -> int:
+    """Whose frame a datagram begins with, 0 for all but autopilots: before the vehicle speaks anything may arrive."""
     found = frame_at(data, 0, CRC_EXTRAS) if data else None
     if not isinstance(found, Frame) or found.component != COMPONENT_AUTOPILOT:
-        return False
-    return signer is None or signer.vouches(data[: found.end], bool(found.flags & SIGNED))
+        return 0
+    vouched = signer is None or signer.vouches(data[: found.end], bool(found.flags & SIGNED))
+    return found.system if vouched else 0
 
 
 def framing_for(address: UdpIn | UdpOut | Serial) -> Framing:

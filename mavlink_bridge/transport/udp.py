@@ -26,6 +26,8 @@ LOOPBACK: Final = "127.0.0.1"
 _MOST: Final = 1000
 """Datagrams, strangers' too, that one call looks at: two ticks' backlog after a stall of a second is taken, and a flood
 does not hold the loop."""
+SILENT_READS: Final = 25
+"""So many reads one after the other, one a tick, brought nothing of the peer: 0.1 s in which its vehicle sends 50."""
 
 
 @final
@@ -33,11 +35,15 @@ class UdpSocket:
     """See the module's text; make one with `bind`."""
 
     def __init__(
-        self, sock: socket.socket, peer: Address | None, greets: Callable[[bytes], bool] | None, *, drop_foreign: bool
-    ) -> None:
+        self, sock: socket.socket, peer: Address | None, greets: Callable[[bytes], int] | None, *, drop_foreign: bool,
+        follow: bool = False,
+    ) -> None:  # fmt: skip
         self._socket = sock
         self._greets = greets
+        self._greeting = 0
         self._drop_foreign = drop_foreign
+        self._follow = follow
+        self._silent = 0
         self._connected = False
         self._poll = select.poll()
         self._poll.register(sock, select.POLLIN)
@@ -62,14 +68,16 @@ class UdpSocket:
         *,
         peer: Address | None = None,
         latch: bool = True,
-        greets: Callable[[bytes], bool] = lambda data: True,
+        greets: Callable[[bytes], int] = lambda data: True,
         drop_foreign: bool = False,
+        follow: bool = False,
     ) -> UdpSocket:
         """Bind to `host` and `port` (0: any free one); InputError where that can't be.
 
         peer: where to send before anyone was heard.  latch: the first sender of a datagram that `greets` likes becomes
         the peer for good; else the peer stays as given.  drop_foreign: ignore (and count) datagrams from others than
-        the latched or given peer; else they come in too.
+        the latched or given peer; else they come in too.  follow: where a latched peer on this machine has been silent
+        for `SILENT_READS`, another port that greets with the same number takes its place (a router started anew).
         """
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -81,7 +89,7 @@ class UdpSocket:
         except (OSError, OverflowError) as error:
             sock.close()
             raise InputError(_why(error, host, port, peer)) from error
-        return cls(sock, peer, greets if latch else None, drop_foreign=drop_foreign)
+        return cls(sock, peer, greets if latch else None, drop_foreign=drop_foreign, follow=follow)
 
     @property
     def port(self) -> int:
@@ -112,6 +120,7 @@ class UdpSocket:
             try:
                 data, sender = self._socket.recvfrom(_LARGEST)
             except BlockingIOError:
+                self._silent += 1
                 return None
             except OSError as error:  # one pending error of an earlier send; the next call reads on
                 if not self._count(error):
@@ -120,6 +129,7 @@ class UdpSocket:
             if sender != self.peer or not self.latched:
                 if not self._admit(data, sender):
                     continue
+            self._silent = 0
             return data, sender
         return None
 
@@ -198,13 +208,21 @@ class UdpSocket:
 
     def _admit(self, data: bytes, sender: Address) -> bool:
         """Latch a first sender; whether a datagram of this sender may come in."""
-        if self._greets is not None and not self.latched and self._greets(data):
-            self.peer, self.latched = sender, True
+        if self._greets is not None and not self.latched and (greeting := self._greets(data)):
+            self.peer, self.latched, self._greeting = sender, True, greeting
             return True
         if sender == self.peer:
             return True
+        if self._follow and self._silent >= SILENT_READS and self._is_next(data, sender):
+            self.peer = sender
+            return True
         self.foreign += 1
         return not self._drop_foreign
+
+    def _is_next(self, data: bytes, sender: Address) -> bool:
+        """Whether this is whom the latched peer was, by another port of this machine."""
+        same = self.peer is not None and sender[0] == self.peer[0] == LOOPBACK
+        return same and self._greets is not None and self._greets(data) == self._greeting
 
     def _count(self, error: OSError) -> bool:
         """Count a refusal; whether it was one."""
