@@ -129,8 +129,8 @@ def decide(now: Situation, now_us: int) -> Decision | None:
     if state is not State.DISCONNECTED and (lost := what_is_lost(now.view, now_us, now.config.link_loss_s)):
         return Decision(HandshakeEvent.LINK_LOST, f"{now.landing_for}; {lost}" if now.landing_for else lost)
     if state in (State.IDENTIFYING, State.STANDBY, State.STREAMING):
-        if now.foreign_system:
-            words = f"two autopilots on one link (systems {now.system} and {now.foreign_system}): refusing"
+        if other := now.foreign_system or now.view.other_system:
+            words = f"two autopilots on one link (systems {now.system} and {other}): refusing"
             return Decision(HandshakeEvent.FOREIGN, words)
         if now.rival:
             return Decision(HandshakeEvent.FOREIGN, f"{now.rival}: stop it first")

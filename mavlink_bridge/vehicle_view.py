@@ -59,6 +59,8 @@ class VehicleView:
         self.streams = Streams()
         self.battery_v = float("nan")
         self.can_arm = False
+        self.other_system = 0
+        """Another autopilot that speaks to our port from one of its own; 0: none."""
         self.texts: deque[tuple[int, int, str]] = deque(maxlen=_TEXT_MEMORY)
         """(local time of receipt, severity, text), whole messages only."""
         self.round_trips_us: deque[int] = deque(maxlen=_ROUND_TRIPS)

@@ -104,6 +104,7 @@ class RealTimeLoop:
         self._ticks += 1
         if self._ticks % 25 == 0:
             pace.period_us = max(_LEAST_PERIOD_US, PERIOD_US / max(1.0, companion.view.clock.rate))
+            companion.view.other_system = self.transport.other
             if reason := self.stop_requested():
                 companion.stop(reason)
             self.on_progress(_progress(companion), companion.phase)

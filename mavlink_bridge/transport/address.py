@@ -50,6 +50,9 @@ class Serial:
 class Transport(Protocol):
     """What every transport offers: nothing here blocks or raises."""
 
+    other: int
+    """System of another autopilot that speaks to it beside the one that is heard; 0: none."""
+
     def receive(self) -> bytes | None:
         """What has arrived, None where nothing has."""
 

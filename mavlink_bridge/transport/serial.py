@@ -17,6 +17,8 @@ class SerialPort:
 
     def __init__(self, port: Any) -> None:
         self._port = port
+        self.other = 0
+        """Of nobody else; as of a UDP port."""
         self.send_errors = 0
         """Writes that failed or were cut short."""
         self.receive_errors = 0

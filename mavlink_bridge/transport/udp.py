@@ -57,6 +57,8 @@ class UdpSocket:
         """Datagrams from others than the latched peer."""
         self.refused = 0
         """Times the system said that nobody listens at the peer's port."""
+        self.other = 0
+        """Of a link that follows: what another sender greeted with, the latched one aside; 0: nobody did."""
         self.send_errors = 0
         """Datagrams not sent: no peer yet, no route, no room."""
 
@@ -216,6 +218,9 @@ class UdpSocket:
         if self._follow and self._silent >= SILENT_READS and self._is_next(data, sender):
             self.peer = sender
             return True
+        if self._follow and not self.other and self._greets is not None:
+            greeting = self._greets(data)
+            self.other = 0 if greeting == self._greeting else greeting
         self.foreign += 1
         return not self._drop_foreign
 

@@ -316,9 +316,12 @@ def test_a_router_on_this_machine_that_was_started_anew_is_followed_to_its_new_p
         assert near.receive_all() == [_heartbeat(1)], "the port before speaks again: it keeps its place"
         for _ in range(udp.SILENT_READS):
             assert near.receive_all() == []
-        second.send(_heartbeat(1, system=9))
         second.send(b"noise")
+        assert near.receive_all() == []
+        assert near.other == 0
+        second.send(_heartbeat(1, system=9))
         assert near.receive_all() == [], "another vehicle"
+        assert near.other == 9, "and the flight is told of it"
         second.send(_heartbeat(1))
         assert near.receive_all() == [_heartbeat(1)]
         assert near.send(b"word")

@@ -307,3 +307,20 @@ def test_two_autopilots_on_the_link_are_refused_before_arming() -> None:
     assert companion.state is State.REFUSED
     assert "two autopilots" in companion.reason
     assert not vehicle.set_modes(400)
+
+
+def test_a_vehicle_that_speaks_to_the_same_port_by_another_one_is_refused_before_the_flight() -> None:
+    """Two simulated PX4s beyond the tenth, say: both send to port 14549, and which one is met is chance."""
+    companion, _ = build()
+    vehicle = FakePx4()
+    companion.view.other_system = 9
+    exchange(companion, vehicle, 10.0)
+    assert companion.state is State.REFUSED
+    assert "two autopilots on one link (systems 1 and 9)" in companion.reason
+    assert not vehicle.setpoints
+    companion, _ = build()
+    vehicle = FakePx4()
+    now = exchange(companion, vehicle, 30.0, until=lambda: companion.ticks > 250)
+    companion.view.other_system = 9
+    exchange(companion, vehicle, 1.0, start_us=now)
+    assert companion.state is State.OFFBOARD, "in flight it changes nothing"
