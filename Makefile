@@ -92,10 +92,12 @@ test: $(BIN)/.installed
 	  $(MAKE) --no-print-directory $(BIN)/.installed-dev && \
 	  $(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/lint-imports; checked=$$?; \
 	  [ $$checked != 0 ] || $(BIN)/python -m tests.compiled_ahead >/dev/null 2>&1; \
+	  [ $$checked != 0 ] || $(BIN)/python -m pytest --collect-only -q >/dev/null 2>&1; \
 	  wait $$compiling; exit $$checked
-	@# Types are checked while tests wait for what flies in real time; the least share of a busy processor is theirs.
-	nice -n 19 $(BIN)/mypy > $(VENV)/types.txt 2>&1 & typed=$$!; \
-	  $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder; tested=$$?; \
+	@# Collected once before: each process of the tests would compile all of them to bytecode.  Three for two processors:
+	@# what flies in real time waits for a tenth of its time.  Types are checked meanwhile, with a small share.
+	nice -n 5 $(BIN)/mypy > $(VENV)/types.txt 2>&1 & typed=$$!; \
+	  $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder; tested=$$?; \
 	  wait $$typed; typed=$$?; cat $(VENV)/types.txt; [ $$typed = 0 ] && exit $$tested
 
 format: $(BIN)/.installed-dev

@@ -39,7 +39,7 @@ LONGEST = (
     "loopback/test_site_sensors.py", "loopback/test_set_params.py", "unit/test_vehicle_fit.py",
     "unit/test_certifier.py", "unit/test_safety_filter.py", "attack/test_dither.py",
 )  # fmt: skip
-"""Files of 20 s and more, about the longest first: two processes end together where the last files are short."""
+"""Files of 20 s and more, about the longest first: the processes end together where the last files are short."""
 IN_TWO_PROCESSES = "loopback/test_reproduce_quick.py"
 """Uses both processors by itself: the very last, when no other file is left."""
 
