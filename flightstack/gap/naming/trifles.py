@@ -4,8 +4,9 @@ Far from the noise everything that bends a curve helps a little.  An effect of t
 held-out rows clearly smaller, second for second; the rest is taken back, weakest first, the others fitted again.  It
 may show in either of two views: in whitened rows, where slow disagreement (which a rate loop's disturbances make of
 torques) counts little, or in the rows as they are, where fast disagreement counts little.  What doubles any group's
-remainder there goes, whatever else it helps.  What a sensor errs by shows in what the log's signals say of one another,
-too: there gusts are nothing.
+remainder there goes, unless that is less than a tenth of what it takes away elsewhere: a drag sideways stays, whatever
+its vertical part spoils of the lift.  What a sensor errs by shows in what the log's signals say of one another, too:
+there gusts are nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.effects import EFFECTS
-from flightstack.gap.decisions import CLEAR_SHARE, CLEARLY, SURE_ERRORS
+from flightstack.gap.decisions import CLEAR_SHARE, CLEARLY, SURE_ERRORS, TENTH
 from flightstack.gap.naming.design import Layout, layout_of
 from flightstack.gap.naming.estimate import Estimates, parameter_change
 from flightstack.gap.naming.search import SelectionState
@@ -69,8 +70,9 @@ class _View:
         return out
 
     def worth(self, base: F64, without: F64, judged: Mask, effect: str) -> float:
-        """Greatest sure rise of a group's mean square over these rows, relative; a fall where it is large."""
-        best = worst = 0.0
+        """Greatest sure rise of a group's mean square over these rows, relative; a fall where it is large, and no
+        trifle beside what the effect does elsewhere."""
+        best = worst = helps = harms = 0.0
         for channels in (*GROUPS.values(), *(_KINEMATIC if EFFECTS[effect].kind == "sensor" else ())):
             mine = judged & np.isin(self.layout.channel, channels)
             if not mine.any():
@@ -82,7 +84,8 @@ class _View:
             if abs(risen) > SURE_ERRORS * float(np.std(blocks, ddof=1)) * np.sqrt(len(blocks)):
                 share = risen / max(float(np.sum(base[mine] ** 2)), 1e-300)
                 best, worst = max(best, share), min(worst, share)
-        return worst if worst <= -CLEAR_SHARE else best
+                helps, harms = max(helps, risen), max(harms, -risen)
+        return worst if worst <= -CLEAR_SHARE and harms >= TENTH * helps else best
 
     def _seconds(self, mine: Mask, change: F64) -> F64:
         """Sums of these rows' changes over each second of each flight."""
