@@ -3,8 +3,8 @@
 Fast rows tell a thrust by how force and turning follow the commands, and turning, where a rotor is weak or the mass
 sits off, may pull that far from what carries the vehicle: rows weighed by a coloured noise hardly count a mean.  In: a
 verdict that leaves something unexplained; out: with the thrust scale that balances the mean vertical force, where what
-is named leaves a tenth of the weight or more of it, alike on all stretches of the flights and on held-out data; else
-the verdict as it was.
+is named leaves a tenth of the weight or more of it (where no scale is named, half: a spring or a cord may carry less),
+alike on all stretches of the flights and on held-out data; else the verdict as it was.
 
 Of four gentle flights of a Crazyflie under Vicon, whose commands ask for 1.9 to 2.0 times its weight all the time, the
 scale was told as 0.01, 0.16 and 0.38, and not at all.
@@ -45,7 +45,8 @@ def told_by_lift(vehicle: Vehicle, said: Said) -> Said:
     known = {"thrust_scale", "payload"} & set(vehicle.effects) or any(f.name == "payload" for f in naming.found)
     if known or not naming.unexplained.significant or without_motors(of.flights):
         return said
-    scale = _balancing(naming.vehicle, of)
+    named = any(f.name == "thrust_scale" for f in naming.found)
+    scale = _balancing(naming.vehicle, of, least_mps2=(TENTH if named else HALF) * STANDARD_GRAVITY_MPS2)
     if scale is None:
         return _without_what_lifts_nothing(vehicle, said)
     others = tuple(f for f in naming.found if f.name != "thrust_scale")
@@ -77,9 +78,9 @@ def _named(scale: Estimate, evidence: float, of: FitHoldoutSplit, was: Vehicle) 
     return together(now, ("payload",))
 
 
-def _balancing(vehicle: Vehicle, of: FitHoldoutSplit) -> Estimate | None:
-    """The scale that leaves no mean vertical force, its interval as wide as stretches differ; None where what the model
-    leaves now is no tenth of the weight, or no scale does it everywhere, or the vehicle would not fly with it."""
+def _balancing(vehicle: Vehicle, of: FitHoldoutSplit, *, least_mps2: float) -> Estimate | None:
+    """The scale that leaves no mean vertical force, its interval as wide as stretches differ; None where the model
+    leaves less than this now, no scale does it everywhere, or the vehicle would not fly with it."""
     with_scale = [with_effects(vehicle, {"thrust_scale": {"scale": s}}) for s in _SCALES]
     both = [fit | held for fit, held in zip(of.fit, of.holdout, strict=True)]
     parts: list[Sequence[Mask]] = [[_stretch(mask, k) for mask in both] for k in range(_STRETCHES)]
@@ -94,7 +95,7 @@ def _balancing(vehicle: Vehicle, of: FitHoldoutSplit) -> Estimate | None:
     fit, held, best, *stretches = told
     error = float(np.std(stretches, ddof=1)) / math.sqrt(_STRETCHES)
     width = math.hypot(SMALL_SHARE * best, SURE_ERRORS * error)
-    off = min(abs(each) for each in left) >= TENTH * STANDARD_GRAVITY_MPS2 and len({each > 0.0 for each in left}) == 1
+    off = min(abs(each) for each in left) >= least_mps2 and len({each > 0.0 for each in left}) == 1
     alike = abs(held - fit) <= TENTH * best and width <= TENTH * best
     flies = best * vehicle.max_total_thrust_n > vehicle.weight_n
     if not (off and alike and flies) or best - width <= 1.0 <= best + width:

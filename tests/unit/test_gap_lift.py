@@ -18,6 +18,7 @@ from flightstack.gap.one_heading import with_one_push
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Unexplained
 from flightstack.types import F64
+from flightstack.vehicle import Vehicle
 from tests.gap_flights import as_samples, fly, hidden, quad, wander
 
 TRUE_SCALE = 0.8
@@ -47,7 +48,9 @@ def gap(after: float, floor: float) -> Gap:
     return Gap(*figures, (2.0 - after) / (2.0 - floor))
 
 
-def said(scale: float | None, left: Unexplained = OPEN) -> tuple[Selection, FitHoldoutSplit, Gap]:
+def said(
+    scale: float | None, left: Unexplained = OPEN, believed: Vehicle | None = None
+) -> tuple[Selection, FitHoldoutSplit, Gap]:
     """A verdict on the flight with the true effects but for its thrust scale, which is this one."""
     naming, of = flight()
     values = {k: v for k, v in HIDDEN.items() if k != "thrust_scale"} | (
@@ -57,11 +60,15 @@ def said(scale: float | None, left: Unexplained = OPEN) -> tuple[Selection, FitH
         IdentifiedEffect(e, {p: Estimate(0.0, x, x - 0.01, x + 0.01) for p, x in own.items()}, -50.0, 0.1, 1e-9)
         for e, own in values.items()
     )
-    return replace(naming, found=found, vehicle=corrected(quad(), found), unexplained=left), of, gap(0.9, 0.05)
+    return (
+        replace(naming, found=found, vehicle=corrected(believed or quad(), found), unexplained=left),
+        of,
+        gap(0.9, 0.05),
+    )
 
 
-@pytest.mark.parametrize("told", [None, 0.5, 0.95])
-def test_the_scale_is_what_carries_the_vehicle(told: float | None) -> None:
+@pytest.mark.parametrize("told", [0.5, 0.95])
+def test_the_scale_is_what_carries_the_vehicle(told: float) -> None:
     naming, _, after = told_by_lift(quad(), said(told))
     (scale,) = [f for f in naming.found if f.name == "thrust_scale"]
     value = scale.parameters["scale"]
@@ -82,9 +89,18 @@ def test_a_scale_that_nearly_carries_it_stays_and_so_does_one_beside_which_nothi
     assert told_by_lift(quad(), verdict) is verdict
 
 
+def test_where_no_scale_is_named_a_fifth_of_the_weight_may_hang_from_a_cord() -> None:
+    """A spring that pulls up by a seventh of the weight was named a thrust scale; half of it no cord carries unseen."""
+    verdict = said(None)
+    assert told_by_lift(quad(), verdict) is verdict
+    believed = replace(quad(), rotors=replace(quad().rotors, max_thrust_n=2.0 * quad().rotors.max_thrust_n))
+    (scale,) = [f for f in told_by_lift(believed, said(None, believed=believed))[0].found if f.name == "thrust_scale"]
+    assert scale.parameters["scale"].estimate == pytest.approx(0.5 * TRUE_SCALE, rel=0.02)
+
+
 def test_where_no_scale_balances_one_that_would_lift_nothing_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a flight of others 0.01 was named, where all rotors at full command lift 2.4 weights."""
-    monkeypatch.setattr(lift, "_balancing", lambda vehicle, of: None)
+    monkeypatch.setattr(lift, "_balancing", lambda *_, **__: None)
     least = quad().weight_n / quad().max_total_thrust_n
     for scale, gone in ((0.9 * least, True), (1.1 * least, False)):
         naming, _, _ = told_by_lift(quad(), said(scale))
