@@ -31,6 +31,8 @@ class Attack(NamedTuple):
     params: tuple[tuple[str, float], ...] = ()
     kind: str = "sih"
     """Of PX4: `hil` has our plant behind it, whose sensors can fail."""
+    env: tuple[tuple[str, str], ...] = ()
+    """Of PX4's process besides: its place, its pace, its airframe."""
 
 
 def flown(bench: Bench, runs: int, attacks: Mapping[str, Attack]) -> list[Row]:
@@ -43,7 +45,7 @@ def _row(bench: Bench, name: str, attack: Attack, runs: int) -> Row:
     notes, seen = [], ""
     for number in range(runs):
         folder = log_folder(bench, "attack-" + "-".join(name.replace("/", " ").split()))
-        with Px4(bench, attack.kind, params=dict(attack.params)) as px4:
+        with Px4(bench, attack.kind, params=dict(attack.params), env=dict(attack.env)) as px4:
             scene = Scene(bench, px4, folder)
             try:
                 attack.deed(scene)

@@ -52,8 +52,9 @@ class Px4:
     """A PX4 that runs while the `with` block does, ready to arm when it begins."""
 
     def __init__(
-        self, bench: Bench, kind: str = "sih", *, offset: int = 0, params: Mapping[str, float] | None = None
-    ) -> None:
+        self, bench: Bench, kind: str = "sih", *, offset: int = 0, params: Mapping[str, float] | None = None,
+        env: Mapping[str, str] | None = None,
+    ) -> None:  # fmt: skip
         self.instance = bench.instance + offset
         self.kind = kind
         self.truth: list[Truth] = []
@@ -65,7 +66,7 @@ class Px4:
         self.silent = False
         """No heartbeat is sent: PX4 loses its ground station."""
         self.version = ""
-        self.bench, self._params = bench, params or {}
+        self.bench, self._params, self._env = bench, params or {}, env or {}
         self._values: dict[str, float] = {}
         self._types: dict[str, int] = {}
         self._origin: tuple[float, float, float] | None = None
@@ -101,9 +102,8 @@ class Px4:
 
     def _started(self) -> subprocess.Popen[bytes]:
         command = [*self.bench.px4_prefix, str(self.bench.home / "run.sh"), str(self.instance), self.kind]
-        return subprocess.Popen(
-            command, env={**os.environ, "FRESH": "1"}, stdout=self._log, stderr=self._log, stdin=subprocess.DEVNULL
-        )
+        env = {**os.environ, "FRESH": "1", **self._env}
+        return subprocess.Popen(command, env=env, stdout=self._log, stderr=self._log, stdin=subprocess.DEVNULL)
 
     def signal(self, number: int) -> None:
         """A signal to PX4's process."""

@@ -17,7 +17,7 @@ from benchmarks.px4.subjects.interference import linked
 
 RUNS = 1
 _FENCE, _MISSION = 1, 0
-_PLACE = 47.3977420, 8.5455940
+PLACE = 47.3977420, 8.5455940
 """SIH's home."""
 
 
@@ -52,7 +52,7 @@ def _uploads(kind: int, command: int, *params: float) -> Callable[[Scene], None]
         mav.mission_count_send(system, 1, 3, kind)
         for number, (north, east) in enumerate(((0.01, 0.0), (-0.01, 0.01), (-0.01, -0.01))):
             time.sleep(0.3)
-            place = int(1e7 * (_PLACE[0] + north)), int(1e7 * (_PLACE[1] + east)), 20.0
+            place = int(1e7 * (PLACE[0] + north)), int(1e7 * (PLACE[1] + east)), 20.0
             mav.mission_item_int_send(system, 1, number, 3, command, 0, 1, *params, *place, kind)
         time.sleep(3.0)
         mav.mission_clear_all_send(system, 1, kind)

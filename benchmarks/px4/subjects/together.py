@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import subprocess
 import time
 from collections.abc import Callable
 
@@ -166,6 +167,12 @@ def _others(system: int, *, first: bool = False) -> tuple[bytes, ...]:
     return tuple(message.pack(mav) for message in said)
 
 
+def _estimator_stopped(scene: Scene) -> None:
+    """By PX4's own shell: attitude and position stop coming."""
+    words = [f"{os.environ['PX4_SHELL']}/px4-ekf2", "--instance", str(scene.px4.instance), "stop"]
+    scene.others.append(subprocess.Popen(words))  # it may never answer
+
+
 def _rebooted(scene: Scene) -> None:
     scene.px4.signal(signal.SIGKILL)
     time.sleep(0.2)
@@ -205,6 +212,7 @@ ATTACKS: dict[str, Attack] = {
         _late(_after(_set(("MPC_THR_HOVER", 0.2), ("COM_OF_LOSS_T", 5.0)), _signal(signal.SIGKILL, 6.0))), codes=(-9,)
     ),
     "15/15 ms, no GPS for 3 s": Attack(_late(_gps_gone(3.0)), codes=(0, 1)),
+    "15/15 ms, the estimator stopped": Attack(_late(_estimator_stopped), soft=False),
     "15/15 ms, flood of junk at 5 kHz": Attack(_late(_flood(8.0)), codes=(0, 1)),
     "15/15 ms and 5 % lost, Hold": Attack(
         linked(LATE._replace(lost=0.05), (LATE._replace(lost=0.05, doubled=0.05, jitter_s=0.005), 4.0)), codes=(0, 1)
