@@ -18,6 +18,7 @@ from flightstack.gap.decisions import NEGLIGIBLE, NEGLIGIBLE_OF_REQUIRED
 from flightstack.gap.simulate import natural_scale, spec_of, value
 from flightstack.vehicle import Vehicle
 
+HEIGHT = ("com_offset", "z_m")
 STOCHASTIC = ("turbulence",)
 """Effects without a column: they show in the remainder's spectrum only."""
 SLUNG_LENGTHS_M = (0.3, 0.6, 1.0, 1.7, 3.0)
@@ -90,7 +91,7 @@ def at_end(vehicle: Vehicle, effect: str, parameter: str, estimate: float) -> bo
     A centre of mass is not judged by its height, which hardly any flight shows.
     """
     spec = spec_of(effect, parameter)
-    if spec.integer or (effect, parameter) == ("com_offset", "z_m"):
+    if spec.integer or (effect, parameter) == HEIGHT:
         return False
     low, high = plausible(vehicle, effect, parameter)
     near = 1e-6 * (high - low)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from flightstack.gap.chances import chi2_tails
 from flightstack.gap.decisions import STEADY_MPS2, TENTH
 from flightstack.gap.filters import through
-from flightstack.gap.naming.candidates import fitted, negligible, plausible
+from flightstack.gap.naming.candidates import HEIGHT, fitted, negligible, plausible
 from flightstack.gap.naming.design import Layout, layout_of
 from flightstack.gap.naming.metric import bounded_step
 from flightstack.gap.naming.search import SelectionState
@@ -107,9 +107,13 @@ def _hidden(start: Vehicle, slots: Sequence[tuple[str, str]], values: F64, reach
 
 
 def fills(start: Vehicle, slot: tuple[str, str], low: float, high: float) -> bool:
-    """Whether an interval holds all that is plausible for a parameter that the file (or nothing) has a value of."""
+    """Whether an interval holds all that is plausible for a parameter that the file (or nothing) has a value of.
+
+    The height of a centre of mass, which hardly any flight shows, is no measurement where either end is reached.
+    """
     least, most = plausible(start, *slot)
-    return bool(np.isfinite(value(start, *slot))) and low <= least and high >= most
+    ends = (low <= least, high >= most)
+    return bool(np.isfinite(value(start, *slot))) and (any(ends) if slot == HEIGHT else all(ends))
 
 
 def _clipped(vehicle: Vehicle, effect: str, parameter: str, v: float) -> float:
