@@ -49,6 +49,7 @@ from flightstack.autopilot_params import AUTOPILOT_PARAMS, AXES
 from flightstack.checked import number, only
 from flightstack.governor import GovernorLimits
 from flightstack.jit import njit
+from flightstack.kept import kept
 from flightstack.model import Limits, Model
 from flightstack.rate_loop import SPREAD, butterworth2, first_order_alpha, steepness
 from flightstack.types import F64, InputError, Tuple3, Tuple4
@@ -259,6 +260,11 @@ class _Loop:
 
     def doubt(self, margin: float) -> tuple[float, float]:
         """chi and chi_yaw for commands from D to 1 - D."""
+        question = self.curve, self.lag_s, list(self.alpha), self.inertia, self.damping, self.mix.tolist()
+        chi, chi_yaw = kept(__name__, ("doubt", margin, self.autopilot, question), lambda: self._doubt(margin))
+        return chi, chi_yaw
+
+    def _doubt(self, margin: float) -> list[float]:
         chi = chi_yaw = 1.0
         directions = self.mix[:, :2] / np.hypot(self.mix[:, 0], self.mix[:, 1])[:, None]
         directions = np.unique(np.round(np.abs(directions), 12), axis=0)
@@ -268,7 +274,7 @@ class _Loop:
                 both = np.hypot(c * roll[:, :, :, None], s * pitch[:, :, None, :]).sum(axis=0)
                 chi = max(chi, 1.0 + float(both.max()))
             chi_yaw = max(chi_yaw, 1.0 + float(np.abs(_nearest(self.kernels(2, float(norm)))).sum(axis=0).max()))
-        return chi, chi_yaw
+        return [chi, chi_yaw]
 
     def noise(
         self, density: Tuple3, norm: float, copies: tuple[tuple[float, float], ...] = _CORNERS[:1]
@@ -352,10 +358,7 @@ def _kernels(c: F64, copies: F64, shares: F64) -> F64:
         for a in range(count):
             for m in range(many):
                 lag = c[_LAG] * shares[t], c[_LAG] * copies[m, 1]
-                left = (
-                    math.exp(-_STEP_S / lag[0]) if lag[0] > 0.0 else 0.0,
-                    math.exp(-_STEP_S / lag[1]) if lag[1] > 0.0 else 0.0,
-                )
+                left = _left(lag[0]), _left(lag[1])
                 gain = c[_ALPHA] * shares[a], c[_ALPHA] * copies[m, 0]
                 z1 = z2 = rate = acc = integral = added = true = model = w_true = w_model = 0.0
                 for k in range(_STEPS):

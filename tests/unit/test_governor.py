@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from measured import measured
 from shipped import load_vehicle
 
+from flightstack.barrier import torque
 from flightstack.barrier.torque import governor_terms
 from flightstack.governor import Governor, GovernorLimits
 from flightstack.guard import Guard
@@ -29,6 +31,26 @@ TICK_US = 4000
 
 def terms(which: Vehicle) -> Any:
     return governor_terms(which, Model.from_vehicle(which), Limits(), NOISE)
+
+
+def test_a_doubt_that_is_kept_is_another_ones_where_any_number_of_the_loop_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(torque, "kept", lambda module, question, search: asked.append(repr(question)) or [1.0, 1.0])
+    rotors = replace(QUAD.rotors, position_m=1.25 * QUAD.rotors.position_m)
+    effects: tuple[dict[str, dict[str, float]], ...] = (
+        {"thrust_curve": {"thrust_model_factor": 0.25}},
+        {"motor_lag": {"time_constant_s": 0.05}},
+        {"inertia": {"scale_x": 1.1, "scale_y": 1.0, "scale_z": 1.0}},
+        {"angular_damping": {"k_x_nms": 0.0, "k_y_nms": 0.0, "k_z_nms": 0.01}},
+    )
+    others = [with_effects(QUAD, each) for each in effects]
+    others += [replace(QUAD, rotors=rotors), replace(QUAD, autopilot={"mc_yawrate_k": 1.5}), QUAD]
+    for which in others:
+        torque._Loop(which).doubt(0.1)
+    torque._Loop(QUAD).doubt(0.125)
+    assert len(set(asked)) == len(asked) == len(others) + 1
+    torque._Loop(QUAD).doubt(0.125)
+    assert asked[-1] == asked[-2]
 
 
 def flown(believed: Vehicle, truth: Vehicle, commands: list[tuple[F64, float]], limits: GovernorLimits | None) -> F64:
