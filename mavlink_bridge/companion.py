@@ -77,7 +77,7 @@ class Companion:
         self._rested = 0
         self.start_ned_m: F64 = np.zeros(3)
         """Estimated position where the flight began, (3,): the scenario's coordinates are relative to it."""
-        self._commands, self._voice = CommandQueue(link), Voice(link)
+        self._commands, self._voice = CommandQueue(link), Voice(link, speaks_first=config.speaks_first)
         self._now = Situation(config, self.view, self._commands)
         self._watch = Watchdogs(self.view.clock, config.tick_s)
         errs = config.estimate

@@ -56,6 +56,8 @@ class CompanionConfig:
     """Of the link; a later one is refused before the flight."""
     estimate: ErrorStatistics | None = None
     """How the autopilot's estimate errs; None: it is taken as it is reported."""
+    speaks_first: bool = False
+    """Heartbeats go out before anyone was heard: to whoever answers only those who speak."""
     dead_man: bool = True
     """Silence of ours is answered within 50 ms (or can't be: in lockstep); else COM_OF_LOSS_T must be short."""
     counted: Mapping[str, float] = field(default_factory=dict)

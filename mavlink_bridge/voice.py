@@ -20,10 +20,10 @@ _NO_TURN: Tuple4 = (1.0, 0.0, 0.0, 0.0)
 
 
 class Voice:
-    """Speaks to `system` once it is known (0: to nobody)."""
+    """Speaks to `system` once it is known; before (0) to nobody, or, where it `speaks_first`, a heartbeat to all."""
 
-    def __init__(self, link: Link) -> None:
-        self._link = link
+    def __init__(self, link: Link, *, speaks_first: bool = False) -> None:
+        self._link, self._speaks_first = link, speaks_first
         self.system = 0
         self.thrust_model_factor = 0.0
         """The vehicle's THR_MDL_FAC: the curve that PX4 undoes before the motors."""
@@ -45,17 +45,17 @@ class Voice:
         """Heartbeats as onboard controller and as a ground station (PX4 sends STATUSTEXT only to links that saw one);
         TIMESYNC questions; and, where the vehicle's own heartbeats stay away, the question for one: it alone tells
         whether the vehicle is armed."""
-        if not self.system:
+        if not (self.system or self._speaks_first):
             return
         if now_us >= self._heartbeat_due_us:
             self._heartbeat_due_us = now_us + _HEARTBEAT_US
-            if heartbeat_missing:
+            if heartbeat_missing and self.system:
                 asked = (float(m.id_of(m.Heartbeat)), *(math.nan,) * 6)
                 self._link.send(m.CommandLong(self.system, px4.COMPONENT_AUTOPILOT, px4.Cmd.REQUEST_MESSAGE, 0, asked))
             self._link.send(m.Heartbeat(px4.TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4))
-            if self.is_ground_station:
+            if self.is_ground_station and self.system:
                 self._link.send(m.Heartbeat(px4.TYPE_GCS, 8, 0, 0, 4), component=px4.COMPONENT_GCS)
-        if now_us >= self._timesync_due_us:
+        if now_us >= self._timesync_due_us and self.system:
             self._timesync_due_us = now_us + _TIMESYNC_US
             self._link.send(m.Timesync(0, now_us * 1000, self.system, px4.COMPONENT_AUTOPILOT))
 

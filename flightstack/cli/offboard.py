@@ -191,6 +191,7 @@ def companion_of(
         heartbeat_timeout_s=options.heartbeat_timeout_s,
         contradictions=inspector.contradictions,
         dead_man=options.dead_man,
+        speaks_first=isinstance(parse_address(options.connect), UdpOut) and options.signing_key is None,
         round_trip_max_s=prepared.protection.round_trip_max_s,
         counted=counted_on(prepared.believed) if prepared.protection.filter.enabled else {},
         misplaced=lambda view: carried(view, options.where) or unknowing(view, bounds, sensors),

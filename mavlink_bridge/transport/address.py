@@ -72,6 +72,10 @@ class Transport(Protocol):
         """Give the port back."""
 
 
+_PX4_BELOW = 40
+"""A simulated PX4's links send to the port so far below their own, and answer one port for life: always this one."""
+
+
 def parse_address(text: str) -> UdpIn | UdpOut | Serial:
     """The address; InputError where it is none."""
     kind, colon, rest = text.partition(":")
@@ -104,8 +108,11 @@ def open_address(address: UdpIn | UdpOut | Serial | str, signer: Signer | None =
     if isinstance(address, UdpIn):
         greets = partial(_system_of_autopilot, signer)
         return UdpSocket.bind(address.host, address.port, greets=greets, drop_foreign=True, follow=True)
-    near = LOOPBACK if _is_loopback(address.host) else _ANY
-    return UdpSocket.bind(near, 0, peer=(address.host, address.port), latch=False, drop_foreign=True)
+    near, peer = LOOPBACK if _is_loopback(address.host) else _ANY, (address.host, address.port)
+    try:
+        return UdpSocket.bind(near, max(0, address.port - _PX4_BELOW), peer=peer, latch=False, drop_foreign=True)
+    except InputError:  # another program has it
+        return UdpSocket.bind(near, 0, peer=peer, latch=False, drop_foreign=True)
 
 
 def _system_of_autopilot(signer: Signer | None, data: bytes) -> int:

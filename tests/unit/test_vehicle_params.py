@@ -225,6 +225,16 @@ def test_where_px4_is_to_notice_a_lost_ground_station_it_does_not_pose_as_one(ac
     assert {received.message.type for received in ear.take_events() if type(received.message) is m.Heartbeat} == kinds
 
 
+@pytest.mark.parametrize("speaks_first", [False, True])
+def test_before_the_vehicle_is_known_only_who_calls_speaks_and_once_a_second(speaks_first: bool) -> None:
+    """`udpout`: a vehicle that answers only who has spoken would never be heard."""
+    link = Link(240, 191)
+    voice = Voice(link, speaks_first=speaks_first)
+    for now_us in range(0, 2_000_000, 4_000):
+        voice.keep_in_touch(now_us, heartbeat_missing=True)
+    assert len(link.datagrams_to_send()) == (2 if speaks_first else 0)
+
+
 @pytest.mark.parametrize(("told", "ends"), [(0.1, True), (0.15, False)], ids=["another", "the same"])
 def test_a_rate_gain_that_is_changed_in_flight_ends_the_certificate(told: float, ends: bool) -> None:
     companion, notes, vehicle, now = flying()
