@@ -36,10 +36,12 @@ from tests.unit.measured import measured
 
 
 def batches() -> None:
-    """Fleets with and without effects in the loop, gusts among them; and one vehicle's runs of steps."""
+    """Fleets with and without effects in the loop, gusts among them; and one vehicle's steps, one by one and in runs."""
     windy = with_effects(quad(), {"turbulence": {"sigma_mps": 1.0, "length_m": 10.0}, "payload": {"mass_kg": 0.1}})
     path = np.array([hover((0.0, 0.0, -2.0)).at(0.0).row] * 2)
-    NativePlant(quad(), seed=0).run(np.full(4, 0.6), 1)
+    alone = NativePlant(quad(), seed=0)
+    alone.run(np.full(4, 0.6), 1)
+    alone.step(np.full(4, 0.6))
     for vehicle in (quad(), windy):
         BatchPlant([vehicle], seed=0).step(np.full((1, 4), 0.6))
         BatchClosedLoop(quad(), [vehicle]).fly(path)
