@@ -36,7 +36,7 @@ from tests.unit.measured import measured
 
 
 def batches() -> None:
-    """Fleets with and without effects in the loop, gusts among them; and one vehicle's steps, one by one and in runs."""
+    """Fleets with and without effects in the loop, gusts among them; one vehicle, by a step and by many."""
     windy = with_effects(quad(), {"turbulence": {"sigma_mps": 1.0, "length_m": 10.0}, "payload": {"mass_kg": 0.1}})
     path = np.array([hover((0.0, 0.0, -2.0)).at(0.0).row] * 2)
     alone = NativePlant(quad(), seed=0)
