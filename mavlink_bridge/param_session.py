@@ -126,9 +126,10 @@ class ParamSession:
     def _open(self) -> list[str]:
         """What is still to be read, or to be taken."""
         unread = [name for name in self._names if name not in self.stored]
-        return unread or [name for name, value in self._wanted.items() if not self._has(name, value)]
+        return unread or [name for name, value in self._wanted.items() if not self.has(name, value)]
 
-    def _has(self, name: str, value: float) -> bool:
+    def has(self, name: str, value: float) -> bool:
+        """Whether a parameter that was read stands at this value, as far as the vehicle can hold it."""
         stored = self.stored[name]
         return stored.value == (value if stored.kind in _INTEGERS else _float32(value))
 

@@ -1,8 +1,9 @@
 """`--set-params FILE`: parameters of the vehicle for one flight, set before it and put back after it.
 
 What stood before is written to a journal before the first parameter is changed, one file for each vehicle, and the
-journal is removed when all is back.  A flight that ends with the vehicle still armed (the pilot has it) or a program
-that was killed leaves it: the next `offboard` that meets the vehicle disarmed puts the values back first.
+journal is removed when all is back; what somebody else has set meanwhile is left as it is.  A flight that ends with
+the vehicle still armed (the pilot has it) or a program that was killed leaves it: the next `offboard` that meets the
+vehicle disarmed puts the values back first.
 """
 
 from __future__ import annotations
@@ -66,11 +67,18 @@ class Change:
     during: dict[str, float] = field(default_factory=dict)
     restored: bool | None = None
     """None where nothing was set."""
+    left: frozenset[str] = frozenset()
+    """Set by somebody else meanwhile, and not put back."""
 
     def as_json(self) -> list[dict[str, Any]]:
         """The JSON's `parameters_set`."""
         return [
-            {"name": name, "before": self.before[name], "set": value, "restored": self.restored}
+            {
+                "name": name,
+                "before": self.before[name],
+                "set": value,
+                "restored": self.restored and name not in self.left,
+            }
             for name, value in self.during.items()
         ]
 
@@ -105,7 +113,7 @@ def parameters_set(wire: VehicleLink, values: Mapping[str, float], say: Callable
         raise InputError(f"{session.problem or 'the vehicle does not tell its parameters'}: no parameter was set")
     change.before = {name: session.stored[name].value for name in values}
     change.during = dict(values)
-    _write_journal(journal, change.before)
+    _write_journal(journal, change)
     try:
         session.write(values)
         if not wire.run(session, lambda: session.settled, _ANSWER_LIMIT_S):
@@ -113,35 +121,43 @@ def parameters_set(wire: VehicleLink, values: Mapping[str, float], say: Callable
         say(", ".join(f"{name} {change.before[name]:g} -> {value:g}" for name, value in values.items()))
         yield change
     finally:
-        change.restored = _put_back(wire, journal, say)
+        change.restored = _put_back(wire, journal, say, change)
 
 
-def _put_back(wire: VehicleLink, journal: Path, say: Callable[[str], None]) -> bool:
-    """Set what the journal says and remove it; whether the vehicle is as it was."""
+def _put_back(wire: VehicleLink, journal: Path, say: Callable[[str], None], change: Change | None = None) -> bool:
+    """Set what the journal says and remove it; whether that was done.  `change` is told what was left as it is."""
     if not journal.exists():
         return True
-    values = _read_journal(journal)
+    values, during = _read_journal(journal)
     session = wire.session(list(values))
     known = wire.run(session, lambda: session.settled, _ANSWER_LIMIT_S)
     if known:
         wire.run(session, lambda: not session.armed, _DISARM_LIMIT_S)
+        others = {n for n in during if n in values and not (session.has(n, during[n]) or session.has(n, values[n]))}
+        if others:
+            now = ", ".join(f"{name} {session.stored[name].value:g}" for name in sorted(others))
+            say(f"left as somebody else set it: {now}")
+        values = {name: value for name, value in values.items() if name not in others}
+        if change is not None:
+            change.left = frozenset(others)
         session.write(values)
         if wire.run(session, lambda: session.settled, _ANSWER_LIMIT_S):
             journal.unlink(missing_ok=True)
-            say("parameters put back: " + ", ".join(f"{name} {value:g}" for name, value in values.items()))
+            back = ", ".join(f"{name} {value:g}" for name, value in values.items())
+            say(f"parameters put back: {back or 'none'}")
             return True
     why = session.problem or "the vehicle does not answer"
     say(f"parameters not put back ({why}); the next run that meets the vehicle disarmed does it, by {journal}")
     return False
 
 
-def _write_journal(path: Path, before: Mapping[str, float]) -> None:
+def _write_journal(path: Path, change: Change) -> None:
     """On the disk before anything is changed."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(".part")
         with part.open("w") as file:
-            json.dump({"schema": SCHEMA, "parameters": dict(before)}, file)
+            json.dump({"schema": SCHEMA, "parameters": change.before, "set": change.during}, file)
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
@@ -149,12 +165,17 @@ def _write_journal(path: Path, before: Mapping[str, float]) -> None:
         raise InputError(f"{path}: {error.strerror}: without a journal no parameter is set") from None
 
 
-def _read_journal(path: Path) -> dict[str, float]:
+def _read_journal(path: Path) -> tuple[dict[str, float], dict[str, float]]:
+    """What stood before and what was set (older journals do not say), by name."""
     try:
         data = json.loads(path.read_text())
         if data["schema"] != SCHEMA:
             raise ValueError
-        return {str(name): float(value) for name, value in data["parameters"].items()}
+        before, during = (
+            {str(name): float(value) for name, value in table.items()}
+            for table in (data["parameters"], data.get("set", {}))
+        )
+        return before, during
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
             f"{path}: not a journal of parameters; look at it, put them back by hand and remove it"

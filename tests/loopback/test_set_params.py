@@ -45,6 +45,13 @@ class Station:
                     return float(struct.unpack("<i", struct.pack("<f", value))[0]) if message.param_type == 6 else value
         raise AssertionError(f"{name} was not told")
 
+    def set(self, name: str, value: float) -> None:
+        for _ in range(50):
+            self.link.mav.param_set_send(1, 1, name.encode(), value, mavutil.mavlink.MAV_PARAM_TYPE_REAL32)
+            if self.read(name) == pytest.approx(value):
+                return
+        raise AssertionError(f"{name} was not taken")
+
     def values(self) -> dict[str, float]:
         return {name: self.read(name) for name in AT_FIRST}
 
@@ -93,6 +100,21 @@ def running() -> Iterator[tuple[int, Station]]:
 @pytest.fixture
 def bench(tmp_path: Path, running: tuple[int, Station]) -> Bench:
     return Bench(tmp_path, *running)
+
+
+def test_what_somebody_else_has_set_meanwhile_is_left_as_it_is(bench: Bench) -> None:
+    """A ground station's later word counts: only what is still as this flight set it is put back."""
+    with bench.start("--set-params", str(bench.file), "--json", str(bench.folder / "r.json")) as companion:
+        bench.wait(lambda: bench.station.values() == CHANGED)
+        bench.station.set("COM_OF_LOSS_T", 0.4)
+        companion.send_signal(signal.SIGINT)
+        _, errors = companion.communicate(timeout=GIVE_UP_S)
+    told = json.loads((bench.folder / "r.json").read_text())["parameters_set"]
+    assert bench.station.values() == {**AT_FIRST, "COM_OF_LOSS_T": pytest.approx(0.4)}
+    bench.station.set("COM_OF_LOSS_T", AT_FIRST["COM_OF_LOSS_T"])
+    assert "left as somebody else set it: COM_OF_LOSS_T 0.4" in errors
+    assert {each["name"]: each["restored"] for each in told} == {"COM_OF_LOSS_T": False, "COM_RC_IN_MODE": True}
+    assert not list(bench.journals.iterdir())
 
 
 def test_ctrl_c_puts_back_and_kill_9_leaves_a_journal_that_the_next_run_follows(bench: Bench) -> None:
