@@ -7,6 +7,7 @@ condition can be had alone.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,6 +17,7 @@ from mavlink_bridge import px4
 from mavlink_bridge.decide import CompanionConfig, Situation, decide, estimate_is_good, landing_limit_s
 from mavlink_bridge.faults import FAULTS, Reaction
 from mavlink_bridge.handshake import FINAL, HandshakeEvent, State
+from mavlink_bridge.vehicle_view import VehicleView
 
 S = 1_000_000
 ENTERED = 100 * S
@@ -30,13 +32,14 @@ CONFIG = CompanionConfig(arm=True, contradictions=lambda values: ["4 kg are miss
 def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) -> Situation:
     """A quadrotor on a PX4 that is ready, and of which the last word came as the state was entered."""
     seen = SimpleNamespace(
-        heartbeat=SimpleNamespace(autopilot=12, type=2), version=object(), armed=False, in_offboard=False,
-        intends_offboard=False, would_return=False, mode_name="Position", estimator_flags=GOOD, landed_state=1,
+        heartbeat=SimpleNamespace(autopilot=12, type=2, system_status=4), version=object(), armed=False,
+        in_offboard=False, intends_offboard=False, would_return=False, mode_name="Position", estimator_flags=GOOD, landed_state=1,
         intended_at_us=1, round_trip_us=55_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED, stood_us=0,
-        stands=False, custom_mode=px4.MODE_OFFBOARD, on_ground=False,
+        stands=False, custom_mode=px4.MODE_OFFBOARD, on_ground=False, other_system=0,
         params=SimpleNamespace(settled=True, values=SAFE, missing=()),
         recent_texts=lambda now_us, window_us: [],
     )  # fmt: skip
+    seen.ended_by_others = partial(VehicleView.ended_by_others, seen)
     vars(seen).update(view or {})
     asked = changes.pop("asked", {})
     status = lambda command: SimpleNamespace(**{**REQUEST, **asked.get(command, {})})  # noqa: E731
