@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from flightstack.barrier.condition import Setting
+from flightstack.barrier.confidence import BLOCK, colour
 from flightstack.barrier.estimate_bounds import BENCH
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.premise_watch import watched
@@ -46,6 +47,7 @@ def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
     The record of a tick, for whoever writes it.
     """
     _watch()
+    colour(np.zeros((2 * BLOCK, 1)), np.zeros((2 * BLOCK, 2), dtype=np.int64), 1.0)  # of as many windows as tell one
     streams = Streams()
     streams.attitude(0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     streams.position(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -19,7 +19,7 @@ from flightstack.types import InputError
 from flightstack_logs.writer import FlightLog
 from flightstack_sim.grade import load_grade
 from flightstack_sim.px4_hil import STEP_US, PhysicsBehindPx4
-from flightstack_sim.warmup import warm_up
+from flightstack_sim.warmup import warm_up, warm_up_lockstep
 from mavlink_bridge import frequent
 from mavlink_bridge.pace import Pace, undisturbed
 from mavlink_bridge.transport.clock import monotonic_us
@@ -58,6 +58,7 @@ def serve(
         ensure_compiled(on_wait)
         frequent.prepare()
         warm_up(truth, grade, options.plant)
+        warm_up_lockstep(truth, options.plant)
         on_ready(
             f"{truth.name} is up: waiting for PX4 on TCP {HOST}:{server.address[1]}"
             " (make px4_sitl none_iris), Ctrl-C ends"

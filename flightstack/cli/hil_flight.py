@@ -35,6 +35,7 @@ from flightstack_logs.log_clock import LogClock, clock_metadata
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.writer import Recorder
 from flightstack_sim.px4_hil import STEP_US, PhysicsBehindPx4
+from flightstack_sim.warmup import warm_up_lockstep
 from mavlink_bridge import messages as m
 from mavlink_bridge import px4
 from mavlink_bridge.companion import Companion
@@ -226,6 +227,7 @@ def fly_behind_px4(
         ensure_compiled(lambda text: on_progress(0.0, text))
         with setup.flight.protection.beside():
             warm_up_all(setup)
+            warm_up_lockstep(setup.truth, setup.plant)
             _wait_for_px4(server, options.hil_port, stop_requested, on_progress)
             result = _flown(setup, options, (server, link), stop_requested, on_progress)
     if report_wanted(result):

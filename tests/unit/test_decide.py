@@ -33,9 +33,9 @@ def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) 
     """A quadrotor on a PX4 that is ready, and of which the last word came as the state was entered."""
     seen = SimpleNamespace(
         heartbeat=SimpleNamespace(autopilot=12, type=2, system_status=4), version=object(), armed=False,
-        in_offboard=False, intends_offboard=False, would_return=False, mode_name="Position", estimator_flags=GOOD, landed_state=1,
-        intended_at_us=1, round_trip_us=55_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED, stood_us=0,
-        stands=False, custom_mode=px4.MODE_OFFBOARD, on_ground=False, other_system=0,
+        in_offboard=False, intends_offboard=False, would_return=False, mode_name="Position", estimator_flags=GOOD,
+        landed_state=1, intended_at_us=1, round_trip_us=55_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED,
+        stood_us=0, stands=False, custom_mode=px4.MODE_OFFBOARD, on_ground=False, other_system=0,
         params=SimpleNamespace(settled=True, values=SAFE, missing=()),
         recent_texts=lambda now_us, window_us: [],
     )  # fmt: skip
