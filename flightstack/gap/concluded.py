@@ -35,6 +35,8 @@ from flightstack.types import InputError
 from flightstack.vehicle import Vehicle
 
 OnProgress = Callable[[float, str], None]
+Said = tuple[Selection, FitHoldoutSplit, Gap]
+"""A verdict: what is named, on which rows, and the gap that is left."""
 
 
 def silent(share: float, phase: str) -> None:
@@ -43,7 +45,7 @@ def silent(share: float, phase: str) -> None:
 
 def concluded(
     vehicle: Vehicle, of: FitHoldoutSplit, called: str, on_progress: OnProgress = silent, *, closely: bool = False
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+) -> Said:
     """What is named, refined and judged by the held-out part of these flights, and what stays unexplained."""
     on_progress(0.2, "naming")
     naming = name(vehicle, of.flights, of.fit, of.holdout, closely=closely)
@@ -91,7 +93,7 @@ def concluded(
 
 def _without_loop_noise(
     vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap, centre_s: Sequence[float]
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+) -> Said:
     """The names less those of which nothing is left by instruments that a loop's noise does not reach.
 
     Beside something unexplained instruments are bent by it as well.
@@ -148,9 +150,7 @@ def _refined(
     return replace(naming, found=found, vehicle=refined.vehicle), replace(of, flights=moved)
 
 
-def _same_in_each(
-    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+def _same_in_each(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap) -> Said:
     """Names that are not the same in each of several flights are taken back, clearest first, the others fitted anew.
 
     With several flights, or far from the noise, intervals reach as far as flights and their stretches differ.
@@ -172,9 +172,7 @@ def _same_in_each(
     return naming, of, gap
 
 
-def fitted_without(
-    vehicle: Vehicle, said: tuple[Selection, FitHoldoutSplit, Gap], gone: Sequence[str], reason: str
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+def fitted_without(vehicle: Vehicle, said: Said, gone: Sequence[str], reason: str) -> Said:
     """The verdict less these names, the others fitted and refined again."""
     naming, of, gap = said
     naming = naming.without(gone, reason)
@@ -204,9 +202,7 @@ def _fixed(naming: Selection) -> set[tuple[str, str]]:
     return {(f.name, p) for f in naming.found for p, e in f.parameters.items() if not e.told}
 
 
-def _judged(
-    vehicle: Vehicle, named: Selection, of: FitHoldoutSplit, on_progress: OnProgress
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+def _judged(vehicle: Vehicle, named: Selection, of: FitHoldoutSplit, on_progress: OnProgress) -> Said:
     """The names that hold on data not used before, refined, and the gap with them.
 
     Refinement trusts the structure.  Where the model stays far from the noise, only what clearly matters is named,
@@ -267,9 +263,7 @@ def _beside_a_poor_model(vehicle: Vehicle, named: Selection) -> Selection:
     return named
 
 
-def _with_mass_for_thrust(
-    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+def _with_mass_for_thrust(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap) -> Said:
     """The verdict with a mass for a thrust scale that closes force but makes turning worse; else as it was.
 
     Beside a poor model the two are one class: both say how hard the rotors pull a kilogram.  A thrust scales what turns

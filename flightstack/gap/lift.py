@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 
 from flightstack.gap.classes import together, without_motors
 from flightstack.gap.compare import residual
-from flightstack.gap.concluded import fitted_without, held_out_gap
+from flightstack.gap.concluded import Said, fitted_without, held_out_gap
 from flightstack.gap.decisions import HALF, SMALL_SHARE, SURE_ERRORS, TENTH
 from flightstack.gap.held import corrected
-from flightstack.gap.name import Selection
-from flightstack.gap.pooled import FitHoldoutSplit
-from flightstack.gap.records import Estimate, Gap, IdentifiedEffect
+from flightstack.gap.pooled import FitHoldoutSplit, stretch
+from flightstack.gap.records import Estimate, IdentifiedEffect
 from flightstack.gap.verdict import closed_power, unexplained
 from flightstack.types import STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle, with_effects
@@ -36,7 +35,6 @@ _STRETCHES = 6
 _SCALES = (1.0, 0.5)
 """Two at which the vertical force is looked at: it is a straight line in the scale."""
 Mask = NDArray[np.bool_]
-Said = tuple[Selection, FitHoldoutSplit, Gap]
 
 
 def told_by_lift(vehicle: Vehicle, said: Said) -> Said:
@@ -83,7 +81,7 @@ def _balancing(vehicle: Vehicle, of: FitHoldoutSplit, *, least_mps2: float) -> E
     leaves less than this now, no scale does it everywhere, or the vehicle would not fly with it."""
     with_scale = [with_effects(vehicle, {"thrust_scale": {"scale": s}}) for s in _SCALES]
     both = [fit | held for fit, held in zip(of.fit, of.holdout, strict=True)]
-    parts: list[Sequence[Mask]] = [[_stretch(mask, k) for mask in both] for k in range(_STRETCHES)]
+    parts: list[Sequence[Mask]] = [[stretch(mask, k, _STRETCHES) for mask in both] for k in range(_STRETCHES)]
     told, left = [], []
     for masks in (of.fit, of.holdout, both, *parts):
         now, *at = (_off(each, of, masks) for each in (vehicle, *with_scale))
@@ -111,9 +109,3 @@ def _mean(rows: Sequence[NDArray[np.float64]]) -> float:
     each = np.concatenate([y[:, _VERTICAL] for y in rows])
     each = each[np.isfinite(each)]
     return float(np.mean(each)) if len(each) else math.nan
-
-
-def _stretch(mask: Mask, k: int) -> Mask:
-    out = np.zeros_like(mask)
-    out[np.array_split(np.flatnonzero(mask), _STRETCHES)[k]] = True
-    return out

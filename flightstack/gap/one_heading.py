@@ -16,11 +16,10 @@ from dataclasses import replace
 import numpy as np
 
 from flightstack.gap.classes import together
-from flightstack.gap.concluded import fitted_without, held_out_gap
+from flightstack.gap.concluded import Said, fitted_without, held_out_gap
 from flightstack.gap.held import far_from_noise, interval_contains_nominal, upright
 from flightstack.gap.name import Selection
-from flightstack.gap.pooled import FitHoldoutSplit
-from flightstack.gap.records import Gap, IdentifiedEffect, Samples
+from flightstack.gap.records import IdentifiedEffect, Samples
 from flightstack.gap.track import track
 from flightstack.gap.verdict import closed_power, unexplained
 from flightstack.vehicle import Vehicle
@@ -29,7 +28,6 @@ from flightstack_logs.turn import headings
 _STEADY = ("constant_force", "steady_wind", "accelerometer_bias", "attitude_misalignment")
 _TURNS = 0.9
 """Mean resultant length of the headings below which they tell world from body: 26 degrees of deviation (Mardia)."""
-Said = tuple[Selection, FitHoldoutSplit, Gap]
 
 
 def with_one_push(vehicle: Vehicle, said: Said) -> Said:

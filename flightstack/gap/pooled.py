@@ -72,6 +72,13 @@ def split_by_power(vehicle: Vehicle, flights: Sequence[Samples]) -> FitHoldoutSp
     return FitHoldoutSplit(tuple(flights), *zip(*parts, strict=True)) if later else None
 
 
+def stretch(mask: Mask, k: int, count: int) -> Mask:
+    """The k-th of `count` stretches of these rows, alike in number."""
+    out = np.zeros_like(mask)
+    out[np.array_split(np.flatnonzero(mask), count)[k]] = True
+    return out
+
+
 def figures(vehicle: Vehicle, of: FitHoldoutSplit) -> Figures:
     """The held-out figures of the simulator of this vehicle."""
     return _pooled(of, lambda samples, mask: compare.figures(vehicle, samples, mask))

@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 
 from flightstack.gap.classes import has_gyro, in_classes, without_motors
 from flightstack.gap.compare import residual
-from flightstack.gap.concluded import held_out_gap
+from flightstack.gap.concluded import Said, held_out_gap
 from flightstack.gap.decisions import HALF, MOSTLY, SMALL_SHARE, SURE_ERRORS, TENTH
 from flightstack.gap.held import corrected
 from flightstack.gap.name import Selection
-from flightstack.gap.pooled import FitHoldoutSplit
-from flightstack.gap.records import Estimate, Gap, IdentifiedEffect, Rejected
+from flightstack.gap.pooled import FitHoldoutSplit, stretch
+from flightstack.gap.records import Estimate, IdentifiedEffect, Rejected
 from flightstack.gap.verdict import closed_power, unexplained
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle, with_effects
@@ -60,9 +60,7 @@ class _Trim(NamedTuple):
     """Sum of squares that stays."""
 
 
-def told_by_trim(
-    vehicle: Vehicle, said: tuple[Selection, FitHoldoutSplit, Gap]
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+def told_by_trim(vehicle: Vehicle, said: Said) -> Said:
     """The verdict with its weak rotor as the mean commands tell it; `said` where they tell none, or it closes nothing.
 
     A weak rotor that was not named must be weaker than rotors of whole vehicles are, and balance held-out rows, too.
@@ -126,7 +124,7 @@ class _Balance:
     def _with_intervals(self, rotor: int) -> tuple[Estimate, Estimate]:
         """What is left of a rotor and the scale by all rows; 95 % intervals as wide as stretches and flights differ."""
         masks = [fit | held for fit, held in zip(self._of.fit, self._of.holdout, strict=True)]
-        stretches = (self._means([_stretch(mask, k) for mask in masks]) for k in range(_STRETCHES))
+        stretches = (self._means([stretch(mask, k, _STRETCHES) for mask in masks]) for k in range(_STRETCHES))
         told = [_solved(means, rotor) for means in (self._means(masks), *stretches) if means is not None]
         out = []
         for value, *others in ([t.effectiveness for t in told], [t.scale for t in told]):
@@ -148,13 +146,6 @@ class _Balance:
         size = np.array([np.abs(slopes[:, 0]).sum(), np.abs(slopes[:, 1]).max(), np.abs(slopes[:, 2]).max()])
         scaled: F64 = np.vstack([means[0], slopes]) / np.maximum(size, 1e-9)
         return scaled
-
-
-def _stretch(mask: NDArray[np.bool_], k: int) -> NDArray[np.bool_]:
-    rows = np.array_split(np.flatnonzero(mask), _STRETCHES)[k]
-    out = np.zeros_like(mask)
-    out[rows] = True
-    return out
 
 
 def _solved(means: F64, rotor: int) -> _Trim:

@@ -13,7 +13,7 @@ from pathlib import Path
 from flightstack.gap import gather, pooled
 from flightstack.gap.check import check
 from flightstack.gap.classes import without_motors
-from flightstack.gap.concluded import OnProgress, concluded, held_out_gap, silent, without_bias
+from flightstack.gap.concluded import OnProgress, Said, concluded, held_out_gap, silent, without_bias
 from flightstack.gap.decisions import CLEAR_SHARE, MOSTLY
 from flightstack.gap.drifting import with_changing_gyro
 from flightstack.gap.held import far_from_noise
@@ -21,9 +21,8 @@ from flightstack.gap.lift import told_by_lift
 from flightstack.gap.likeness import same_flight
 from flightstack.gap.name import DRIFTS, Selection
 from flightstack.gap.one_heading import on_one_heading, with_one_push
-from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.read import flight
-from flightstack.gap.records import Checked, Gap, Samples
+from flightstack.gap.records import Checked, Samples
 from flightstack.gap.result import GapResult
 from flightstack.gap.trim import told_by_trim
 from flightstack.gap.verdict import closed_power
@@ -82,9 +81,7 @@ def analyse(
     )
 
 
-def _looked_closely(
-    vehicle: Vehicle, said: tuple[Selection, FitHoldoutSplit, Gap], called: str
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+def _looked_closely(vehicle: Vehicle, said: Said, called: str) -> Said:
     """The verdict where what a good model may be off by is looked at, too, if that explains all; else what was said.
 
     A centre of mass off by two percent of an arm is less than vehicles differ by, and yet all that is missing here.
@@ -106,9 +103,7 @@ def _is_drift_again(before: Selection, now: Selection) -> bool:
     return drifted and any(found.name == "battery_sag" for found in now.found)
 
 
-def _turned_round(
-    vehicle: Vehicle, flights: Sequence[Samples], said: tuple[Selection, FitHoldoutSplit, Gap], called: str
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+def _turned_round(vehicle: Vehicle, flights: Sequence[Samples], said: Said, called: str) -> Said:
     """The verdict with the first third of each flight held out, where that explains all; else what was said.
 
     What acts in the last third only (one low pass before landing) can't be named from the first two.  Learned from, it
@@ -131,9 +126,7 @@ def _turned_round(
     return said if closed is None or closed < MOSTLY else (naming, of, gap)
 
 
-def _split_by_what_is_off(
-    vehicle: Vehicle, flights: Sequence[Samples], said: tuple[Selection, FitHoldoutSplit, Gap], called: str
-) -> tuple[Selection, FitHoldoutSplit, Gap]:
+def _split_by_what_is_off(vehicle: Vehicle, flights: Sequence[Samples], said: Said, called: str) -> Said:
     """The verdict with the last third of what each flight is off by held out, where that closes most; else `said`.
 
     A flight that hovers for its first two thirds says nothing there of a drag, and in its first third nothing to judge
