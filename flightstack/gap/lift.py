@@ -41,6 +41,7 @@ def told_by_lift(vehicle: Vehicle, said: Said) -> Said:
     """The verdict with the thrust scale that carries the vehicle, where what is named does not; else `said`."""
     naming, of, before = said
     known = {"thrust_scale", "payload"} & set(vehicle.effects) or any(f.name == "payload" for f in naming.found)
+    known = known or {"rotors.max_thrust_n", "body.mass_kg"} & set(vehicle.ranges)  # what is guessed is fitted
     if known or not naming.unexplained.significant or without_motors(of.flights):
         return said
     named = any(f.name == "thrust_scale" for f in naming.found)
@@ -67,7 +68,9 @@ def _without_what_lifts_nothing(vehicle: Vehicle, said: Said) -> Said:
     scale = next((f.parameters["scale"].estimate for f in said[0].found if f.name == "thrust_scale"), 1.0)
     if scale * vehicle.max_total_thrust_n >= vehicle.weight_n or scale >= 1.0:
         return said
-    return fitted_without(vehicle, said, ("thrust_scale",), "at full command the rotors would not lift the vehicle")
+    naming, of, gap = fitted_without(vehicle, said, ("thrust_scale",), "at full command the rotors would not lift it")
+    left = unexplained(naming.unexplained, gap, named=bool(naming.found))
+    return replace(naming, unexplained=left), of, gap
 
 
 def _named(scale: Estimate, evidence: float, of: FitHoldoutSplit, was: Vehicle) -> IdentifiedEffect:

@@ -18,8 +18,8 @@ from flightstack.gap.one_heading import with_one_push
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Unexplained
 from flightstack.types import F64
-from flightstack.vehicle import Vehicle
-from tests.gap_flights import as_samples, fly, hidden, quad, wander
+from flightstack.vehicle import Vehicle, parse_vehicle
+from tests.gap_flights import VEHICLES, as_samples, fly, hidden, quad, wander
 
 TRUE_SCALE = 0.8
 OPEN = Unexplained(True, ("airspeed",), 0.5)
@@ -98,12 +98,22 @@ def test_where_no_scale_is_named_a_fifth_of_the_weight_may_hang_from_a_cord() ->
     assert scale.parameters["scale"].estimate == pytest.approx(0.5 * TRUE_SCALE, rel=0.02)
 
 
+def test_where_the_file_guesses_thrust_it_is_no_scale_of_it() -> None:
+    """The file's own numbers are fitted there, which a scale on top of it would lose."""
+    text = (VEHICLES / "quad-x.toml").read_text("utf-8")
+    guessed = parse_vehicle(text.replace("max_thrust_n = 6.6", "max_thrust_n = {value = 6.6, range = [3.0, 9.0]}"), "x")
+    assert guessed.ranges
+    verdict = said(0.5)
+    assert told_by_lift(guessed, verdict) is verdict
+
+
 def test_where_no_scale_balances_one_that_would_lift_nothing_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a flight of others 0.01 was named, where all rotors at full command lift 2.4 weights."""
     monkeypatch.setattr(lift, "_balancing", lambda *_, **__: None)
     least = quad().weight_n / quad().max_total_thrust_n
     for scale, gone in ((0.9 * least, True), (1.1 * least, False)):
         naming, _, _ = told_by_lift(quad(), said(scale))
+        assert naming.unexplained.significant
         assert ("thrust_scale" not in {f.name for f in naming.found}) is gone
         assert "linear_drag" in {f.name for f in naming.found}
 
