@@ -168,18 +168,27 @@ def test_a_pulse_width_of_0_is_no_thrust_and_a_flight_in_percent_is_no_row_of_wr
     assert out["motor"].value == pytest.approx(command)
 
 
+@pytest.mark.parametrize("decimals", [3, 15])
+@pytest.mark.parametrize("share", [0.3, 0.75])
 @pytest.mark.parametrize("ends", [1.7, 29.0, -12.0])
-def test_a_stream_that_ends_early_and_is_drawn_on_straight_is_no_flight_in_percent(ends: float) -> None:
+def test_a_stream_that_ends_early_and_is_drawn_on_straight_is_no_flight_in_percent(
+    ends: float, share: float, decimals: int
+) -> None:
     """A published log's motors end 11 s before it and go on straight, to 29 times full command: taken for percent, the
     whole was "landed, or motors too weak"."""
     value = flight().signals["motor"].value.copy()
-    stops = 3 * len(value) // 4
+    stops = round(share * len(value))
     value[stops:] = np.linspace(value[stops], ends, len(value) - stops)
-    out, said = _motor(value)
+    out, said = _motor(value.round(decimals))
     left = len(out["motor"].value)
-    assert stops <= left < stops + (len(value) - stops) // 2 + 200
-    assert np.array_equal(out["motor"].value[:stops], flight().signals["motor"].value[:stops])
-    assert said == [f"motor: {len(value) - left} of {len(value)} samples are no commands; left out"]
+    assert stops - 3 <= left <= stops + 2
+    assert out["motor"].value[: stops - 3] == pytest.approx(
+        flight().signals["motor"].value[: stops - 3], abs=10.0**-decimals
+    )
+    assert said == [
+        f"motor: the last {len(value) - left} of {len(value)} samples are one straight line beyond 0 to 1: "
+        "the stream ended before them; left out"
+    ]
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.3048])

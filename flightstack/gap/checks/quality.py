@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,7 +12,7 @@ from flightstack.gap.checks.clocks import longest_run
 from flightstack.gap.checks.grid import period_s
 from flightstack.gap.checks.motion import G_NED, band, integrated, motion, rate_hz, rates_of
 from flightstack.gap.checks.rotors import felt_gravity
-from flightstack.gap.decisions import EDGE_S, HALF, SMALL_SHARE
+from flightstack.gap.decisions import EDGE_S, SMALL_SHARE
 from flightstack.gap.records import Finding, Offset, Samples, Signal, refused, warning
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -24,6 +25,8 @@ _RAW_HZ = 50.0
 _DISAGREE = 0.6
 _CELL_V = (2.8, 4.5)
 _BEYOND = 0.05
+_STRAIGHT = 0.002
+"""How far from a line commands are that were drawn straight and then lost decimals."""
 _MOTOR_UNITS = {
     "pulse widths of 1000 to 2000 us": (790.0, 2300.0, 1000.0, 2000.0),
     "in percent": (-1.0, 101.0, 0.0, 100.0),
@@ -63,15 +66,22 @@ def settle_motors(signals: Mapping[str, Signal]) -> tuple[dict[str, Signal], lis
     if not _is_off(signal.value, -_BEYOND, 1.0 + _BEYOND).any():
         out["motor"] = Signal(signal.t_s, np.clip(signal.value, 0.0, 1.0), signal.source)
         return out, []
+    lasts, findings = _recorded(signal.value), []
+    if lasts < len(signal.value):
+        text = (
+            f"motor: the last {len(signal.value) - lasts} of {len(signal.value)} samples are one straight line beyond"
+        )
+        findings.append(warning("gaps", f"{text} 0 to 1: the stream ended before them; left out"))
+        signal = Signal(signal.t_s[:lasts], signal.value[:lasts], signal.source)
     for name, (least, most, zero, full) in (("", (-_BEYOND, 1.0 + _BEYOND, 0.0, 1.0)), *_MOTOR_UNITS.items()):
         known = np.where(signal.value == 0.0, zero, signal.value)  # no pulse is no thrust
         off = _is_off(known, least, most)
         if np.mean(off) > SMALL_SHARE or longest_run(off) * period_s(signal) > 2.0 * EDGE_S:
-            if name or not _flies_mostly(signal.value):
-                continue
+            continue
         command = np.clip((known[~off] - zero) / (full - zero), 0.0, 1.0)
         out["motor"] = Signal(signal.t_s[~off], command, signal.source)
-        findings = [warning("units", f"motors: were {name}; turned into commands 0 to 1")] if name else []
+        if name:
+            findings.append(warning("units", f"motors: were {name}; turned into commands 0 to 1"))
         if off.any():
             text = f"motor: {int(off.sum())} of {len(off)} samples are no commands; left out"
             findings.append(warning("spikes", text))
@@ -81,10 +91,18 @@ def settle_motors(signals: Mapping[str, Signal]) -> tuple[dict[str, Signal], lis
     return out, [refused("motors", text)]
 
 
-def _flies_mostly(value: F64) -> bool:
-    """Whether most rows are what rotors in flight are told: a stream that ends early may be drawn on straight to the
-    log's end, where percent and pulse widths have most rows at command 0 or beyond 1."""
-    return bool(np.mean(np.all((value > _BEYOND) & (value <= 1.0), axis=1)) > HALF)
+def _recorded(value: F64) -> int:
+    """How many rows come before a straight line to the log's end that leaves 0 to 1: a stream that ends early is drawn
+    on like that by who puts streams on one clock, and has most rows beyond 1, as percent and pulse widths have."""
+
+    def straight(first: int) -> bool:
+        line = np.linspace(value[first], value[-1], len(value) - first)
+        return bool(np.abs(value[first:] - line).max() <= _STRAIGHT)
+
+    first = bisect_left(range(len(value) - 1), True, key=straight)
+    tail = value[first:]
+    ended = len(tail) > SMALL_SHARE * len(value) and bool(_is_off(tail, -_BEYOND, 1.0 + _BEYOND).any())
+    return first if ended and np.ptp(tail, axis=0).max() > _BEYOND else len(value)
 
 
 def _is_off(value: F64, least: float, most: float) -> NDArray[np.bool_]:
