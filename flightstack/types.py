@@ -23,6 +23,7 @@ from flightstack import rows
 from flightstack.errors import InputError as InputError
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 Tuple3 = tuple[float, float, float]
 Tuple4 = tuple[float, float, float, float]
 

@@ -14,13 +14,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.barrier.records import Certificate
 from flightstack.jit import Entry, njit
-from flightstack.types import F64, Measurement, Tuple3
-
-I64 = NDArray[np.int64]
+from flightstack.types import F64, I64, Measurement, Tuple3
 
 _PERIODS_S = (0.008, 0.005, 0.004)
 """Of position, attitude and IMU streams at PX4's greatest rates."""

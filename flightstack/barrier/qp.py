@@ -20,13 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 import osqp
-from numpy.typing import NDArray
 from scipy import sparse
 
 from flightstack.jit import njit
-from flightstack.types import F64
-
-I64 = NDArray[np.int64]
+from flightstack.types import F64, I64
 
 AXES = 3
 ROUNDS = 12

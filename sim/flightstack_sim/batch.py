@@ -34,7 +34,7 @@ from flightstack.types import F64, InputError, Learned
 from flightstack.vehicle import Vehicle
 from flightstack_sim.autopilot.flight_control import airframe_params
 from flightstack_sim.autopilot.rate_control import RateControl
-from flightstack_sim.batch_loop import STEPS, TICK_S, fly_blocks
+from flightstack_sim.batch_loop import TICK_S, fly_blocks
 from flightstack_sim.batch_step import NAMES_IN_THE_LOOP, compiled_steps, run_blocks
 from flightstack_sim.lanes import LANES
 from flightstack_sim.parameters import parameter_row
@@ -42,8 +42,6 @@ from flightstack_sim.plant import GustDraws, state_rows
 
 _DT_US = 1000
 REFERENCE = 17
-DRAWN = 64
-"""Steps whose gust normals are drawn at once."""
 _MOST_THREADS = 64
 _LEAST_SHARE = 64
 """Blocks that are worth a thread: to start one for a call takes some 50 us."""
@@ -68,13 +66,15 @@ class VehicleBatch:
         rows = state_rows(params, dt_us=dt_us, max_delay_s=max(delays))
         gusty = np.flatnonzero(params[:, turbulence.SIGMA] != 0.0).tolist()
         self._gusts = {i: GustDraws(seed + i, rows[i : i + 1]) for i in gusty}
-        self._normals = np.zeros((self._count, DRAWN if gusty else 0, turbulence.NORMALS))
         self._steps = compiled_steps(any(_acts_in_the_loop(vehicle) for vehicle in vehicles))
         self._state = _by_field(rows)
         by_field = _by_field(params)
         by_field[P_GROUND, self._count :] = 0.0  # what fills the last block has no ground to slow it down
         blocks = by_field.shape[1] // LANES
         self._params = by_field.reshape(PARAMS, blocks, LANES).transpose(1, 0, 2).reshape(blocks, PARAMS * LANES)
+        self._generators = np.zeros(by_field.shape[1], dtype=np.int64)
+        for i, draws in self._gusts.items():
+            self._generators[i] = draws.generator
         self._pool = ThreadPoolExecutor(_MOST_THREADS)
         self.pos_ned_m = self._view(S_POS, 3)
         self.vel_ned_mps = self._view(S_VEL, 3)
@@ -87,12 +87,6 @@ class VehicleBatch:
 
     def _view(self, first: int, fields: int) -> F64:
         return self._state[first : first + fields, : self._count].T
-
-    def _draw(self, low: int, high: int, steps: int) -> None:
-        """The next `steps` normals of these vehicles."""
-        for i in range(low, min(high, self._count)):
-            if i in self._gusts:
-                self._gusts[i].fill(self._normals[i, :steps])
 
     def _share(self, work: Callable[[int, int], None], threads: int | None) -> None:
         """`work(first, last)` for the vehicles of each thread; None: one for each core where there are enough."""
@@ -125,9 +119,6 @@ class BatchPlant(VehicleBatch):
     ) -> None:
         super().__init__(vehicles, seed=seed, dt_us=dt_us, ground=ground)
         self._threads = threads
-        self._next = np.zeros_like(self._normals)
-        self._used = DRAWN
-        """How many of the normals that were drawn at once are used."""
         self.t_us = 0
         self._command = self._view(S_COMMAND, 4)
         self.specific_force_frd_mps2 = self._view(S_FORCE, 3)
@@ -147,21 +138,9 @@ class BatchPlant(VehicleBatch):
         """`steps` steps with the same commands: the same flight as calling `step` that often, and quicker."""
         self._command[:] = motor_command
         self._state[S_COMMAND : S_COMMAND + 4, self._count :] = 0.0
-        self._share(lambda low, high: self._run(low, high, steps), self._threads)
+        fleet = self._params, self._state, self._generators
+        self._share(lambda low, high: run_blocks(self._steps, *fleet, steps, low, high), self._threads)
         self.t_us += steps * self.dt_us
-        if self._gusts:
-            self._used = (self._used + steps - 1) % DRAWN + 1
-
-    def _run(self, low: int, high: int, steps: int) -> None:
-        at, done = self._used, 0
-        while done < steps:
-            if self._gusts and at == DRAWN:
-                self._draw(low, high, DRAWN)
-                at = 0
-            now = min(DRAWN - at, steps - done) if self._gusts else steps
-            self._next[low:high, :now] = self._normals[low:high, at : at + now]
-            run_blocks(self._steps, self._params, self._state, self._next, now, low, high)
-            at, done = at + now, done + now
 
 
 def _acts_in_the_loop(vehicle: Vehicle) -> bool:
@@ -217,12 +196,6 @@ class BatchClosedLoop(VehicleBatch):
         return distances
 
     def _fly(self, low: int, high: int, rows: F64, distances: F64) -> None:
-        ticks = DRAWN // STEPS
-        for first in range(0, rows.shape[1], ticks):
-            now = rows[:, first : first + ticks]
-            self._draw(low, high, STEPS * now.shape[1])
-            fly_blocks(
-                self._control, (self._params, self._state, self._normals, self._loops, self._corrections), rows,
-                distances, (first, first + now.shape[1]), (low, high), TICK_S if self._began or first else 0.0,
-                self._steps,
-            )  # fmt: skip
+        fleet = self._params, self._state, self._generators, self._loops, self._corrections
+        first_dt = TICK_S if self._began else 0.0
+        fly_blocks(self._control, fleet, rows, distances, (low, high), first_dt, self._steps)

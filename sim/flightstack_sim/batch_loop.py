@@ -12,9 +12,18 @@ from flightstack.control.feedback import control_step
 from flightstack.effects.row import INTEGRATED, S_COMMAND, S_POS, S_RATE
 from flightstack.jit import njit, njit_called, njit_free
 from flightstack.model import limit_command
-from flightstack.types import F64
+from flightstack.types import F64, I64
 from flightstack_sim.autopilot.rate_control import ROW, STATE_SIZE, aim, has_lost, kind_of, motors_of, rate_step
-from flightstack_sim.batch_step import ROW_AT, load, scratch_block, step_block, store
+from flightstack_sim.batch_step import (
+    DRAWN,
+    ROW_AT,
+    draw_block,
+    load,
+    room_for_normals,
+    scratch_block,
+    step_block,
+    store,
+)
 from flightstack_sim.lanes import LANES, across_lanes, lane, vectorised
 
 TICK_S = 0.004
@@ -100,24 +109,27 @@ def _control(
 
 @njit_free
 def fly_blocks(
-    control: tuple[F64, F64, F64], fleet: tuple[F64, F64, F64, F64, F64], reference: F64, distances: F64,
-    ticks: tuple[int, int], vehicles: tuple[int, int], first_dt: float, steps: tuple[int, int],
+    control: tuple[F64, F64, F64], fleet: tuple[F64, F64, I64, F64, F64], reference: F64, distances: F64,
+    vehicles: tuple[int, int], first_dt: float, steps: tuple[int, int, int],
 ) -> None:  # fmt: skip
-    """These ticks (first, last) of these vehicles; whole blocks of them.
+    """The reference's ticks of these vehicles (first, last); whole blocks of them.
 
-    `control`: rows of controller, limiter and what is learned; `fleet`: parameters, states and normals as for
+    `control`: rows of controller, limiter and what is learned; `fleet`: parameters, states and generators as for
     `run_blocks`, blocks of rate loops, corrections (N, 3); `reference` (1 or N, ticks, 17); into `distances` (N,
     ticks); `first_dt`: since the tick before, s;
     `steps`: `compiled_steps`.
     """
-    params, state, normals, loops, corrections = fleet
+    params, state, generators, loops, corrections = fleet
     scratch, work = scratch_block(state.shape[0]), np.zeros(2 * PROPOSAL + 3)
+    normals, ticks = room_for_normals(generators), reference.shape[1]
     before, last = np.empty(STATE_SIZE * LANES), distances.shape[0] - 1
     for at in range(vehicles[0], vehicles[1], LANES):
         load(params, state, at, scratch)
         block = loops[at // LANES]
-        for k in range(ticks[0], ticks[1]):
-            dt = first_dt if k == ticks[0] else TICK_S
+        for k in range(ticks):
+            dt, drawn = first_dt if k == 0 else TICK_S, STEPS * k % DRAWN
+            if drawn == 0:
+                draw_block(steps, generators[at : at + LANES], min(DRAWN, STEPS * (ticks - k)), normals)
             for i in range(LANES):
                 which = min(at + i, last)
                 row, loop = lane(scratch, ROW_AT + i), lane(block, i)
@@ -127,5 +139,5 @@ def fly_blocks(
                     distances[which, k] = off
             for step in range(STEPS):
                 _rates(block, before, scratch)
-                step_block(steps, at, normals, STEPS * (k - ticks[0]) + step, scratch)
+                step_block(steps, normals, drawn + step, scratch)
         store(state, at, scratch)

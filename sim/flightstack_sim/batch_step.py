@@ -9,11 +9,13 @@ are.  While a vehicle of a block is near the ground (a branch that its neighbour
 
 from __future__ import annotations
 
+import ctypes
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numba import carray
+from numpy.random import _generator
 
 from flightstack.effects import EFFECTS, PARAMS, battery_sag, slung_load, turbulence
 from flightstack.effects.row import (
@@ -49,7 +51,7 @@ from flightstack.effects.row import (
     S_VOLTAGE,
 )
 from flightstack.jit import njit, njit_called, njit_free
-from flightstack.types import F64
+from flightstack.types import F64, I64
 from flightstack_sim import composed, rigid_body
 from flightstack_sim.battery import discharge
 from flightstack_sim.lanes import LANES, across_lanes, call, compiled_at, lane, vectorised
@@ -68,6 +70,8 @@ _MIDDLE, _END = 4, 8  # of a step, among the speeds
 ROW_AT = _AIR + 4 * LANES  # the state's fields, the ring of past commands last
 SCRATCH = ROW_AT + S_RING * LANES
 """What a step in the air touches; the ring follows."""
+DRAWN = 64
+"""Steps whose gust normals are drawn at once."""
 _CLEARANCE_M = 0.1
 """More than a vehicle can accelerate towards the ground within a step of 10 ms."""
 
@@ -183,12 +187,14 @@ def _step_alone(params: Any, state: Any, fields: int) -> None:
 
 
 @cache
-def compiled_steps(effects: bool) -> tuple[int, int]:
-    """Addresses of the step of a block and of the step of one vehicle's rows.
+def compiled_steps(effects: bool) -> tuple[int, int, int]:
+    """Addresses of the step of a block, of the step of one vehicle's rows, and of NumPy's fill with standard normals.
 
-    `effects`: whether any effect of NAMES_IN_THE_LOOP acts in any vehicle.
+    `effects`: whether any effect of NAMES_IN_THE_LOOP acts in any vehicle.  The fill (generator, count, numbers) is
+    what `Generator.standard_normal` calls; NumPy's guide "Extending via CFFI" has it.
     """
-    return compiled_at(_step_with_effects if effects else _step_without), compiled_at(_step_alone)
+    normals = ctypes.cast(ctypes.CDLL(_generator.__file__).random_standard_normal_fill, ctypes.c_void_p).value
+    return compiled_at(_step_with_effects if effects else _step_without), compiled_at(_step_alone), normals or 0
 
 
 @njit
@@ -272,14 +278,29 @@ def _delay(scratch: F64) -> None:
             scratch[_TARGET + j * LANES + i] = (1.0 - fraction) * new + fraction * old
 
 
+@njit
+def room_for_normals(generators: I64) -> F64:
+    """(LANES, DRAWN, 5) numbers for `draw_block`; none where no gusts blow in any vehicle."""
+    return np.zeros((LANES if generators.any() else 0, DRAWN, turbulence.NORMALS))
+
+
 @njit_called
-def step_block(steps: tuple[int, int], first: int, normals: F64, k: int, scratch: F64) -> None:
-    """One step of a loaded block with the commands in its state and the k-th of `normals` (N, steps, 5)."""
-    if normals.shape[1] > 0:
-        last = normals.shape[0] - 1
-        for i in range(LANES):
-            for j in range(turbulence.NORMALS):
-                scratch[ROW_AT + (S_NORMALS + j) * LANES + i] = normals[min(first + i, last), k, j]
+def draw_block(steps: tuple[int, int, int], generators: I64, count: int, normals: F64) -> None:
+    """The next `count` steps' normals of a block's vehicles into `normals`.
+
+    `generators` (LANES,): addresses of NumPy's bit generators, 0 where no gusts blow.
+    """
+    for i in range(normals.shape[0]):
+        if generators[i] != 0:
+            call(steps[2], generators[i], count * turbulence.NORMALS, normals[i])
+
+
+@njit_called
+def step_block(steps: tuple[int, int, int], normals: F64, k: int, scratch: F64) -> None:
+    """One step of a loaded block with the commands in its state and the k-th of the drawn `normals`."""
+    for i in range(normals.shape[0]):
+        for j in range(turbulence.NORMALS):
+            scratch[ROW_AT + (S_NORMALS + j) * LANES + i] = normals[i, k, j]
     if _near_ground(scratch):
         _each_alone(steps[1], scratch)
         return
@@ -289,16 +310,18 @@ def step_block(steps: tuple[int, int], first: int, normals: F64, k: int, scratch
 
 @njit_free
 def run_blocks(
-    steps: tuple[int, int], params: F64, state: F64, normals: F64, count: int, first: int, last: int
+    steps: tuple[int, int, int], params: F64, state: F64, generators: I64, count: int, first: int, last: int
 ) -> None:
     """`count` steps of the blocks from vehicle `first` to `last`, commands held.
 
-    `steps`: `compiled_steps`; params (N / LANES, PARAMS * LANES), state (S_RING + ring, N); normals (vehicles, steps or
-    0, 5).
+    `steps`: `compiled_steps`; params (N / LANES, PARAMS * LANES), state (S_RING + ring, N); generators (N,), as for
+    `draw_block`.
     """
-    scratch = scratch_block(state.shape[0])
+    scratch, normals = scratch_block(state.shape[0]), room_for_normals(generators)
     for at in range(first, last, LANES):
         load(params, state, at, scratch)
         for k in range(count):
-            step_block(steps, at, normals, k, scratch)
+            if k % DRAWN == 0:
+                draw_block(steps, generators[at : at + LANES], min(DRAWN, count - k), normals)
+            step_block(steps, normals, k % DRAWN, scratch)
         store(state, at, scratch)

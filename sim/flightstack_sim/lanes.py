@@ -52,19 +52,24 @@ def lane(typing: Any, block: Any, place: Any) -> Any:
 
 
 def _call_code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    address, *blocks, number = arguments
-    kinds = signature.args[1:3]
-    places = [context.make_array(kind)(context, builder, value).data for kind, value in zip(kinds, blocks, strict=True)]
-    words = [*places, number]
+    address, *values = arguments
+    words = [
+        context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
+        for kind, value in zip(signature.args[1:], values, strict=True)
+    ]
     function = ir.FunctionType(ir.VoidType(), [word.type for word in words])
     builder.call(builder.inttoptr(address, function.as_pointer()), words)
     return context.get_dummy_value()
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def call(typing: Any, address: Any, first: Any, second: Any, number: Any) -> Any:
-    """Call what `compiled_at` has compiled: a long function is then compiled once, not once more for each caller."""
-    return types.void(types.intp, first, second, types.intp), _call_code
+def call(typing: Any, address: Any, first: Any, second: Any, third: Any) -> Any:
+    """Call the function at `address`, an array as the pointer to its numbers and a whole number as it is.
+
+    What `compiled_at` has compiled, which is then compiled once and not once more for each caller, or a library's own.
+    """
+    kinds = [kind if isinstance(kind, types.Array) else types.intp for kind in (first, second, third)]
+    return types.void(types.intp, *kinds), _call_code
 
 
 def compiled_at(function: Callable[..., None]) -> int:

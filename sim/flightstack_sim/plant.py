@@ -183,9 +183,10 @@ class GustDraws:
         self._next = min(first + most, len(self._block))
         return self._block[first : self._next]
 
-    def fill(self, out: F64) -> None:
-        """The next len(out) steps' normals of one vehicle into `out` (steps, 5)."""
-        self._rng.standard_normal(out=out)
+    @property
+    def generator(self) -> int:
+        """The address of NumPy's bit generator, for compiled loops that draw; valid while this is."""
+        return int(self._rng.bit_generator.ctypes.bit_generator.value)
 
     def draw(self) -> None:
         """Put the next step's normals into the state rows."""
