@@ -19,13 +19,13 @@ from flightstack.gap.classes import together
 from flightstack.gap.concluded import Said, fitted_without, held_out_gap
 from flightstack.gap.held import far_from_noise, interval_contains_nominal, upright
 from flightstack.gap.name import Selection
+from flightstack.gap.naming.estimate import STEADY_PUSHES
 from flightstack.gap.records import IdentifiedEffect, Samples
 from flightstack.gap.track import track
 from flightstack.gap.verdict import closed_power, unexplained
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import headings
 
-_STEADY = ("constant_force", "steady_wind", "accelerometer_bias", "attitude_misalignment")
 _TURNS = 0.9
 """Mean resultant length of the headings below which they tell world from body: 26 degrees of deviation (Mardia)."""
 
@@ -56,7 +56,7 @@ def _with_only(vehicle: Vehicle, said: Said, push: str) -> Said:
 
 
 def _pushes(naming: Selection) -> list[str]:
-    return [f.name for f in naming.found if f.name in _STEADY]
+    return [f.name for f in naming.found if f.name in STEADY_PUSHES]
 
 
 def on_one_heading(found: tuple[IdentifiedEffect, ...], flights: Sequence[Samples]) -> tuple[IdentifiedEffect, ...]:
@@ -65,8 +65,8 @@ def on_one_heading(found: tuple[IdentifiedEffect, ...], flights: Sequence[Sample
         return found
     names = {f.name for f in found}
     felt = any("accel_frd_mps2" not in track(s).missing for s in flights)
-    twins = [n for n in _STEADY if n not in names and (felt or n != "accelerometer_bias")]
-    return tuple(together(f, tuple(twins)) if f.name in _STEADY else f for f in found)
+    twins = [n for n in STEADY_PUSHES if n not in names and (felt or n != "accelerometer_bias")]
+    return tuple(together(f, tuple(twins)) if f.name in STEADY_PUSHES else f for f in found)
 
 
 def _turns(flights: Sequence[Samples]) -> bool:

@@ -32,6 +32,10 @@ _STEPS = 4
 _STILL = 0.05
 """Standard deviations that another step would move."""
 _SEGMENTS = 6
+STEADY_PUSHES = ("constant_force", "steady_wind", "accelerometer_bias", "attitude_misalignment")
+"""What pushes to one side all the time: in the world, in the body, or seemingly."""
+_PUSH_MPS2 = 1.0
+"""Of a push that a segment may have: wide, it only keeps the solution where no side force was measured."""
 CI = 1.959964
 """Standard deviations of a 95 % interval."""
 _BAND_S = 0.5
@@ -260,24 +264,43 @@ def segments(state: SelectionState, chosen: Mask) -> NDArray[np.int64]:
 
 
 def _constancy(state: SelectionState, made: Estimates, rows: F64, chosen: Mask) -> tuple[F64, F64]:
-    """`same` of all segments."""
+    """`same` of all segments; what does not itself push to one side all the time, whatever pushes so in each segment.
+
+    A tilt between two instruments that wanders by a degree is a push of 0.17 m/s^2 that changes from minute to minute:
+    a drag must not change with it.
+    """
     slots, x = made.slots, made.x
     if not slots:
         return np.empty(0), np.empty(0)
     number = segments(state, chosen)
     allowed = variation(state.start, made.vehicle, slots, made.values)
+    pushes = np.array([effect in STEADY_PUSHES for effect, _ in slots])
+    side = np.hstack([x, _steady(state.point.layout)[:, :2]])
+    told = [
+        (_of_segments(x, rows, number, allowed), pushes),
+        (_of_segments(side, rows, number, allowed), ~pushes),
+    ]
+    p_value, between = np.ones(len(slots)), np.zeros(len(slots))
+    for (theta, variance), mine in told:
+        if len(theta) >= 2 and mine.any():
+            p_value[mine], between[mine] = (each[mine] for each in same(theta, variance, allowed))
+    return p_value, between
+
+
+def _of_segments(x: F64, rows: F64, number: NDArray[np.int64], allowed: F64) -> tuple[F64, F64]:
+    """(k, n) coefficients of each segment, and their variances, of the first n columns of x (R, n or more)."""
+    count = len(allowed)
+    prior = np.full(x.shape[1], 1.0 / _PUSH_MPS2**2)
+    prior[:count] = 1e-2 / np.maximum(allowed, 1e-300)
     estimates, variances = [], []
     for k in range(number.max() + 1):
         mine = number == k
-        if mine.sum() < 10 * len(slots):
+        if mine.sum() < 10 * count:
             continue
-        g = x[mine].T @ x[mine] + np.diag(1e-2 / np.maximum(allowed, 1e-300))
-        inverted = np.linalg.inv(g)
-        estimates.append(inverted @ (x[mine].T @ rows[mine]))
-        variances.append(2.0 * np.diag(inverted))
-    if len(estimates) < 2:
-        return np.ones(len(slots)), np.zeros(len(slots))
-    return same(np.array(estimates), np.array(variances), allowed)
+        inverted = np.linalg.inv(x[mine].T @ x[mine] + np.diag(prior))
+        estimates.append((inverted @ (x[mine].T @ rows[mine]))[:count])
+        variances.append(2.0 * np.diag(inverted)[:count])
+    return np.array(estimates), np.array(variances)
 
 
 def variation(start: Vehicle, vehicle: Vehicle, slots: Sequence[tuple[str, str]], values: F64) -> F64:
