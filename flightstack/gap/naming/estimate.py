@@ -277,8 +277,8 @@ def _constancy(state: SelectionState, made: Estimates, rows: F64, chosen: Mask) 
     pushes = np.array([effect in STEADY_PUSHES for effect, _ in slots])
     side = np.hstack([x, _steady(state.point.layout)[:, :2]])
     told = [
-        (_of_segments(x, rows, number, allowed), pushes),
-        (_of_segments(side, rows, number, allowed), ~pushes),
+        (by_segment(x, rows, number, allowed), pushes),
+        (by_segment(side, rows, number, allowed), ~pushes),
     ]
     p_value, between = np.ones(len(slots)), np.zeros(len(slots))
     for (theta, variance), mine in told:
@@ -287,7 +287,7 @@ def _constancy(state: SelectionState, made: Estimates, rows: F64, chosen: Mask) 
     return p_value, between
 
 
-def _of_segments(x: F64, rows: F64, number: NDArray[np.int64], allowed: F64) -> tuple[F64, F64]:
+def by_segment(x: F64, rows: F64, number: NDArray[np.int64], allowed: F64) -> tuple[F64, F64]:
     """(k, n) coefficients of each segment, and their variances, of the first n columns of x (R, n or more)."""
     count = len(allowed)
     prior = np.full(x.shape[1], 1.0 / _PUSH_MPS2**2)
