@@ -23,7 +23,7 @@ from flightstack.gap.estimator_bias import with_bias
 from flightstack.gap.gusts import Gusts, as_found, gusts
 from flightstack.gap.held import far_from_noise, upright
 from flightstack.gap.name import Selection
-from flightstack.gap.naming.estimate import CI
+from flightstack.gap.naming.estimate import CI, within_range
 from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.records import Estimate, Gap, IdentifiedEffect, Unexplained
 from flightstack.gap.simulate import FreeParameter, free_parameters, value, with_value
@@ -162,7 +162,8 @@ def _by_gusts(
             now = value(naming.vehicle, knob.effect, knob.parameter) + float(blown.beside[k])
             reach = spread * CI * float(np.sqrt(blown.covariance[k, k]))
             before = value(vehicle, knob.effect, knob.parameter)
-            parameters[knob.parameter] = Estimate(before, now, now - reach, now + reach)
+            told = within_range(naming.vehicle, knob.effect, knob.parameter, now)
+            parameters[knob.parameter] = Estimate(before, told, now - reach, now + reach)
     moved = with_value(naming.vehicle, found.name, {p: e.estimate for p, e in parameters.items()})
     own = replace(found, parameters=parameters)
     if not found.delta_bic:  # it was not the search that found it

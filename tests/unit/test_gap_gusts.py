@@ -12,6 +12,7 @@ from benchmarks import gap_cases, gap_draw
 from benchmarks.gap_cases import make, write
 from flightstack.gap import blown as blown_module
 from flightstack.gap import pooled
+from flightstack.gap.add import vehicle_file
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.gusts import gusts
 from flightstack.gap.held import corrected, told_by_signals
@@ -229,3 +230,14 @@ def test_noise_and_a_steady_force_are_no_gusts(flights: dict[str, Samples], kind
     found = gusts(believed(), [flights[kind]], [flights[kind].valid])
     assert found is not None
     assert not found.named
+
+
+def test_a_drag_that_gusts_press_below_nothing_can_be_written_into_the_vehicle_file(tmp_path: Path) -> None:
+    """Nothing that the workflow makes may be refused by its own file: 0.41 kg/s came out as -0.07, and no result."""
+    case = make("one:turbulence", 5_083_285, plant="jsbsim")
+    log, _, _ = write(case, tmp_path, "gusts")
+    result = analyse([log], case.believed)
+    assert "turbulence" in {found.name for found in result.found}
+    values = {found.name: {p: e.estimate for p, e in found.parameters.items()} for found in result.found}
+    assert vehicle_file(result.corrected, values)
+    assert min(values.get("linear_drag", {"": 0.0}).values()) >= 0.0

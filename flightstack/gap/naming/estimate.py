@@ -84,7 +84,7 @@ def estimate(
         moved = vehicle
         now = np.array([value(vehicle, e, p) for e, p in slots])
         for (e, p), v in zip(slots, now + step, strict=True):
-            moved = with_value(moved, e, {p: _clipped(vehicle, e, p, v)})
+            moved = with_value(moved, e, {p: within_range(vehicle, e, p, v)})
         fresh = layout.stack(state.bench.residual(moved))
         still = float(
             np.max(np.abs(step) / np.sqrt(np.maximum(np.diag(covariance_of(state, x, rows, chosen)), 1e-300)))
@@ -120,7 +120,8 @@ def fills(start: Vehicle, slot: tuple[str, str], low: float, high: float) -> boo
     return bool(np.isfinite(value(start, *slot))) and (any(ends) if slot == HEIGHT else all(ends))
 
 
-def _clipped(vehicle: Vehicle, effect: str, parameter: str, v: float) -> float:
+def within_range(vehicle: Vehicle, effect: str, parameter: str, v: float) -> float:
+    """The value, or the end of what a vehicle file may have of this parameter."""
     spec = next(p for p in fitted(vehicle, effect, vehicle.effects[effect]).parameters if p == parameter)
     row = fitted(vehicle, effect, vehicle.effects[effect]).spec(spec)
     return float(np.clip(v, row.minimum, row.maximum))
