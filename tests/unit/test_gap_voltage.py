@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.gap_cases import make, write
-from flightstack.gap.voltage import quiet
+from flightstack.gap.records import Signal
+from flightstack.gap.voltage import on_grid, quiet
 from flightstack.gap.workflow import analyse
 from tests.thorough import thorough
 
@@ -39,6 +40,30 @@ def test_another_load_on_the_battery_is_no_noise() -> None:
     heater = 0.3 * (np.sin(2.0 * np.pi * 2.3 * DT_S * np.arange(len(true_v))) > 0.0)
     measured = true_v - heater + STD_V * np.random.default_rng(1).standard_normal(len(true_v))
     assert quiet(measured, motor, DT_S) is measured
+
+
+def rare(volts: np.ndarray, every: int, seed: int = 1) -> tuple[Signal, np.ndarray]:
+    """Every so many of these rows as a sensor measures them, and the times of all."""
+    t_s = DT_S * np.arange(len(volts))
+    noise = STD_V * np.random.default_rng(seed).standard_normal(len(volts[::every]))
+    return Signal(t_s[::every], volts[::every] + noise, "battery_v"), t_s
+
+
+@pytest.mark.parametrize("every", [25, 125])
+def test_between_rare_samples_the_voltage_falls_with_the_power(every: int) -> None:
+    """5 and 1 Hz, as MAVLink sends it: a straight line keeps the noise and is off by all of the fall besides."""
+    true_v, motor = flight()
+    measured, t_s = rare(true_v, every)
+    off = on_grid(measured, t_s, motor, DT_S) - true_v
+    assert float(np.std(off)) < 0.4 * STD_V
+    assert float(np.std(np.interp(t_s, measured.t_s, measured.value) - true_v)) > 3.0 * STD_V
+
+
+def test_what_goes_its_own_way_between_rare_samples_is_left_as_it_was_measured() -> None:
+    true_v, motor = flight()
+    heater = 0.3 * (np.sin(2.0 * np.pi * 0.04 * DT_S * np.arange(len(true_v))) > 0.0)
+    measured, t_s = rare(true_v - heater, 125)
+    assert np.array_equal(on_grid(measured, t_s, motor, DT_S), np.interp(t_s, measured.t_s, measured.value))
 
 
 @pytest.mark.parametrize("spoilt", ["steps", "nan", "short", "none"])

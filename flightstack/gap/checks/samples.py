@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.gap import voltage
 from flightstack.gap.checks.flying import flying
 from flightstack.gap.checks.grid import (
     SLOWEST_MOTOR_S,
@@ -22,7 +23,6 @@ from flightstack.gap.checks.speeds import MEASURED
 from flightstack.gap.filters import white_noise
 from flightstack.gap.records import Samples, Signal
 from flightstack.gap.sources import DERIVED, DERIVED_HZ, FREED
-from flightstack.gap.voltage import quiet
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
 from flightstack_logs.turn import rotate_inverse
@@ -128,8 +128,7 @@ def _columns(used: dict[str, Signal], t_s: F64, dt_s: float) -> tuple[dict[str, 
             valid &= good
     columns["battery_v"] = np.zeros(rows)
     if "battery_v" in used:
-        volts = np.interp(t_s, used["battery_v"].t_s, used["battery_v"].value)
-        columns["battery_v"] = quiet(volts, columns["motor"], dt_s)
+        columns["battery_v"] = voltage.on_grid(used["battery_v"], t_s, columns["motor"], dt_s)
     return columns, valid, _derive(used, columns, t_s, dt_s)
 
 
