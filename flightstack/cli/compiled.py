@@ -175,8 +175,8 @@ def _compile_gap() -> None:
     by_column, read_only = types.Array(types.float64, 2, "F"), types.Array(types.float64, 3, "C", readonly=True)
     number, numbers = types.int64, types.Array(types.int64, 1, "C")
     every: tuple[tuple[Any, ...], ...] = (
-        (evaluated.run_windows, table, table, numbers, numbers, block, table, block, block),
-        (evaluated.evaluate_at, table, table, table, row, block),
+        (evaluated.windows_loop, table, table, numbers, numbers, block, table, block, block),
+        (evaluated.states_loop, table, table, table, row, block),
         (whiten, row, block, number, numbers, table),
         (whiten, row, read_only, number, numbers, table),
         (filters._pass, table, table, table),

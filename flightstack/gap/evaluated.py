@@ -1,12 +1,17 @@
 """The simulator's forces and torques at measured states, of many vehicles at once; and many short simulations.
 
-Compiled loops round the plant's own functions, nothing else.
+Compiled loops round the plant's own functions, their rows shared out to the cores: no row knows of another.
 """
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
+
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.effects import battery_sag
 from flightstack.effects.row import (
@@ -23,17 +28,45 @@ from flightstack.effects.row import (
     S_U,
     S_VOLTAGE,
 )
-from flightstack.jit import njit_called
-from flightstack.types import F64
+from flightstack.jit import njit_free
+from flightstack.types import F64, I64
 from flightstack_sim.rigid_body import air_velocity, evaluate, rotor_speeds, step_row
 
+_MOST_THREADS = 4
+_LEAST_STATES, _LEAST_WINDOWS = 500, 8
+"""That are worth a thread: to hand a part over takes some 50 us, to evaluate a state 0.2, to simulate a window 100."""
 
-@njit_called
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(_MOST_THREADS - 1)
+
+
+os.register_at_fork(after_in_child=_pool.cache_clear)  # a child has none of its parent's threads
+
+
+def _share(work: Callable[[slice], None], rows: int, least: int) -> None:
+    """`work` of all rows, a part of them (`least` or more) on each core; the first part here."""
+    count = max(1, min(os.cpu_count() or 1, _MOST_THREADS, rows // least))
+    edges = [rows * k // count for k in range(count + 1)]
+    parts = [slice(low, high) for low, high in pairwise(edges)]
+    jobs = [_pool().submit(work, part) for part in parts[1:]]
+    work(parts[0])
+    for job in jobs:
+        job.result()
+
+
 def evaluate_at(params: F64, states: F64, u: F64, voltage: F64, out: F64) -> None:
     """Specific force and angular acceleration (N, 6, M) into `out`, of M parameter rows at the same N states.
 
     states (N, S_U) as the state row begins: position, velocity, attitude, rate, load; motors' u (N, 4), voltage (N,).
     """
+    _share(lambda part: states_loop(params, states[part], u[part], voltage[part], out[part]), len(out), _LEAST_STATES)
+
+
+@njit_free
+def states_loop(params: F64, states: F64, u: F64, voltage: F64, out: F64) -> None:
+    """`evaluate_at` of these rows."""
     row = np.zeros(S_RING)
     dy = np.empty(EVALUATED)
     for n in range(out.shape[0]):
@@ -49,22 +82,27 @@ def evaluate_at(params: F64, states: F64, u: F64, voltage: F64, out: F64) -> Non
                 out[n, 3 + j, m] = dy[S_RATE + j]
 
 
-@njit_called
 def run_windows(
-    state: F64,
-    params: F64,
-    start: NDArray[np.int64],
-    driven: NDArray[np.int64],
-    commands: F64,
-    voltage: F64,
-    shown: F64,
-    force: F64,
+    state: F64, params: F64, start: I64, driven: I64, commands: F64, voltage: F64, shown: F64, force: F64
 ) -> None:
     """Simulate R rows freely from their states: what they show (R, n + 1, S_LOAD_DIR) and mean specific forces.
 
     Row i starts at sample start[i] and is driven by commands[driven[i]] (N, or a multiple of N, 4) and
     voltage[driven[i]] (N,); force (R, n + 1, 3) is the mean since the sample before, 0 at the start.
     """
+
+    def work(part: slice) -> None:
+        own = state[part], params[part], start[part], driven[part]
+        windows_loop(*own, commands, voltage, shown[part], force[part])
+
+    _share(work, state.shape[0], _LEAST_WINDOWS)
+
+
+@njit_free
+def windows_loop(
+    state: F64, params: F64, start: I64, driven: I64, commands: F64, voltage: F64, shown: F64, force: F64
+) -> None:
+    """`run_windows` of these rows."""
     every = commands.shape[1] // voltage.shape[1]
     work = np.empty((3, EVALUATED))
     for i in range(state.shape[0]):

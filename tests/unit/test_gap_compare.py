@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import select
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +12,7 @@ import pytest
 
 from flightstack.cli.compiled import GAP, compile_part
 from flightstack.gap.compare import expected_noise, figures, noise_floor, residual, rollout_starts, sensor_noise
-from flightstack.gap.evaluated import run_windows
+from flightstack.gap.evaluated import windows_loop
 from flightstack.gap.fusion import crossovers
 from flightstack.gap.records import Samples
 from flightstack.gap.rollouts import rollout, rollouts
@@ -101,9 +104,9 @@ def test_a_rollout_is_the_plant_s_own_flight(exact: Samples) -> None:
 def test_many_at_once_are_the_same_as_one_by_one(exact: Samples) -> None:
     lagging = hidden(quad(), {"motor_lag": {"time_constant_s": 0.04}, "transport_delay": {"delay_s": 0.013}})
     compile_part(GAP)
-    ahead = list(run_windows.signatures)
+    ahead = list(windows_loop.signatures)
     batch = rollouts([(quad(), 0.0), (lagging, 0.002)], exact, [200, 500, 900], 0.4)
-    assert run_windows.signatures == ahead != []  # `warmup gap` had compiled it
+    assert windows_loop.signatures == ahead != []  # `warmup gap` had compiled it
     alone = rollouts([(lagging, 0.002)], exact, [500], 0.4)[0]
     assert np.array_equal(batch[1].pos_ned_m[1], alone.pos_ned_m[0])
     assert np.array_equal(batch[1].force_frd_mps2[1], alone.force_frd_mps2[0])
@@ -207,3 +210,31 @@ def test_turning_there_and_back(exact: Samples) -> None:
     assert rotate(turned(np.array([[0.0, 0.0, np.pi / 2.0]])), np.array([1.0, 0.0, 0.0])) == pytest.approx(
         np.array([[0.0, 1.0, 0.0]])
     )
+
+
+def _evaluated(cores: int, monkeypatch: pytest.MonkeyPatch, samples: Samples) -> F64:
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    flight = track(samples)
+    p = params_row(hidden(quad(), {"linear_drag": {"d_x_kgps": 0.2, "d_y_kgps": 0.3, "d_z_kgps": 0.4}}), flight.step_s)
+    return ModelEvaluation(p, flight).moved(p)
+
+
+def test_on_several_cores_it_is_the_same_and_in_a_forked_process_too(
+    exact: Samples, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A child has none of the threads that its parent began."""
+    alone = _evaluated(1, monkeypatch, exact)
+    assert np.array_equal(_evaluated(4, monkeypatch, exact), alone)
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.write(writer, b"same" if np.array_equal(_evaluated(4, monkeypatch, exact), alone) else b"else")
+        os._exit(0)
+    try:
+        assert select.select([reader], [], [], 60.0)[0], "the child stands still"
+        assert os.read(reader, 4) == b"same"
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        os.close(reader)
+        os.close(writer)
