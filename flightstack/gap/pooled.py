@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap import compare
-from flightstack.gap.decisions import GUARD_S, HELD_SHARE
+from flightstack.gap.decisions import GAP_FROM, GUARD_S, HELD_SHARE, SMALL_SHARE
 from flightstack.gap.records import Figures, Samples
 from flightstack.gap.sampled import sampling_floor
+from flightstack.types import F64, I64
 from flightstack.vehicle import Vehicle
 
 Mask = NDArray[np.bool_]
@@ -60,16 +61,55 @@ def split_by_power(vehicle: Vehicle, flights: Sequence[Samples]) -> FitHoldoutSp
     parts, later = [], False
     for s in flights:
         rows = np.flatnonzero(s.valid)
-        y = compare.residual(vehicle, s)
-        noise = np.where(y.noise > 0.0, y.noise, np.inf)
-        off = np.nan_to_num(y.y[rows] / noise)[:, :6]
-        power = np.cumsum(np.sum(off**2, axis=1))
+        power = np.cumsum(_off_by(vehicle, s, rows))
         if not len(rows) or power[-1] <= 0.0:
             return None
         begin = float(s.t_s[rows[np.searchsorted(power, (1.0 - HELD_SHARE) * power[-1])]])
         parts.append((s.valid & (s.t_s < begin - GUARD_S), s.valid & (s.t_s >= begin)))
         later = later or begin > float(s.t_s[np.flatnonzero(_third(s, first=False)[1])[0]]) + GUARD_S
     return FitHoldoutSplit(tuple(flights), *zip(*parts, strict=True)) if later else None
+
+
+def split_by_passes(vehicle: Vehicle, flights: Sequence[Samples]) -> FitHoldoutSplit | None:
+    """The last of several times at which a flight is off held out, a third of its disagreement or one such time.
+
+    A vehicle that passes low over the ground in one third of its flight only shows nothing of it in the others.  None
+    where no flight is off at two times, seconds apart; another is cut by its time.
+    """
+    cuts = [_between_passes(vehicle, s) for s in flights]
+    if not any(cuts):
+        return None
+    parts = [
+        _third(s, first=False) if cut is None else (s.valid & (s.t_s < cut - GUARD_S), s.valid & (s.t_s >= cut))
+        for s, cut in zip(flights, cuts, strict=True)
+    ]
+    return FitHoldoutSplit(tuple(flights), *zip(*parts, strict=True))
+
+
+def _between_passes(vehicle: Vehicle, samples: Samples) -> float | None:
+    """When (s) the first begins of those times that are held out."""
+    rows = np.flatnonzero(samples.valid)
+    if not len(rows):
+        return None
+    second = (samples.t_s[rows] - samples.t_s[rows[0]]).astype(int)
+    count = np.maximum(np.bincount(second), 1)
+    power = np.bincount(second, _off_by(vehicle, samples, rows)) / count
+    above = np.maximum(power - GAP_FROM * np.median(power), 0.0)
+    busy = np.flatnonzero(above > SMALL_SHARE * above.max())
+    passes = np.split(busy, np.flatnonzero(np.diff(busy) > 1 + math.ceil(GUARD_S)) + 1)
+    if len(passes) < 2:
+        return None
+    share = np.cumsum([above[each].sum() for each in passes]) / above[busy].sum()
+    first_held = min(int(np.searchsorted(share, 1.0 - HELD_SHARE)) + 1, len(passes) - 1)
+    return float(samples.t_s[rows[0]]) + float(passes[first_held][0])
+
+
+def _off_by(vehicle: Vehicle, samples: Samples, rows: I64) -> F64:
+    """(rows,) squared disagreement of force and turning, in units of the sensors' noise."""
+    y = compare.residual(vehicle, samples)
+    noise = np.where(y.noise > 0.0, y.noise, np.inf)
+    found: F64 = np.sum(np.nan_to_num(y.y[rows] / noise)[:, :6] ** 2, axis=1)
+    return found
 
 
 def stretch(mask: Mask, k: int, count: int) -> Mask:

@@ -59,7 +59,9 @@ def analyse(
     if not held and naming.unexplained.significant:
         naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
     if not (held or naming.found) and naming.unexplained.significant:
-        naming, of, gap = _split_by_what_is_off(vehicle, flights, (naming, of, gap), called)
+        for split in (pooled.split_by_power, pooled.split_by_passes):
+            if not naming.found:
+                naming, of, gap = _split_by_what_is_off(vehicle, split(vehicle, flights), (naming, of, gap), called)
     for told in (with_one_push, told_by_lift, told_by_trim):
         naming, of, gap = told(vehicle, (naming, of, gap))
     if naming.unexplained.significant or far_from_noise(gap):
@@ -126,13 +128,12 @@ def _turned_round(vehicle: Vehicle, flights: Sequence[Samples], said: Said, call
     return said if closed is None or closed < MOSTLY else (naming, of, gap)
 
 
-def _split_by_what_is_off(vehicle: Vehicle, flights: Sequence[Samples], said: Said, called: str) -> Said:
+def _split_by_what_is_off(vehicle: Vehicle, of: pooled.FitHoldoutSplit | None, said: Said, called: str) -> Said:
     """The verdict with the last third of what each flight is off by held out, where that closes most; else `said`.
 
     A flight that hovers for its first two thirds says nothing there of a drag, and in its first third nothing to judge
     one by.  What is then learned must close most of force or turning in the last third of the time as well.
     """
-    of = pooled.split_by_power(vehicle, flights)
     if of is None:
         return said
     try:

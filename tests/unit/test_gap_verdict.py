@@ -133,6 +133,33 @@ def test_what_a_flight_is_off_by_is_held_out_by_its_last_third(monkeypatch: pyte
 
 
 @pytest.mark.parametrize(
+    ("passes_s", "held_from_s"),
+    [
+        (((4, 7), (12, 15)), 12.0),  # both early: the last third of the time shows nothing of them
+        (((22, 24), (27, 29)), 27.0),  # both late: nor do the first two
+        (((3, 5), (9, 11), (15, 17), (21, 23)), 21.0),
+        (((12, 15),), None),  # one only can't be learned from and judged by
+        (((12, 14), (15, 17)), None),  # nor can two that are hardly apart
+        ((), None),
+    ],
+)
+def test_passes_are_parted_wherever_in_the_flight_they_are(
+    monkeypatch: pytest.MonkeyPatch, passes_s: tuple[tuple[int, int], ...], held_from_s: float | None
+) -> None:
+    flight, off = hovers_until(30.0)
+    for begin, end in passes_s:
+        off.y[(flight.t_s >= begin) & (flight.t_s < end), 2] = 5.0
+    monkeypatch.setattr(pooled.compare, "residual", lambda *given: off)
+    of = pooled.split_by_passes(cast(Vehicle, None), [flight])
+    if held_from_s is None:
+        assert of is None
+        return
+    assert of is not None
+    assert flight.t_s[of.holdout[0]].min() == pytest.approx(held_from_s)
+    assert flight.t_s[of.fit[0]].max() == pytest.approx(held_from_s - 2.0, abs=0.02)
+
+
+@pytest.mark.parametrize(
     ("named", "closed", "before", "adopted"),
     [
         (True, 0.2, 0.4, True),  # four and seven tenths of the rms: 0.96 and 0.84 of the mean square
@@ -151,9 +178,8 @@ def test_what_the_last_of_the_disagreement_confirms_is_said_where_most_is_closed
 
     of = pooled.FitHoldoutSplit((), (), ())
     told = SimpleNamespace(found=("effect",) * named, rejected=(), unexplained=Unexplained(True))
-    monkeypatch.setattr(workflow.pooled, "split_by_power", lambda *given: of)
     monkeypatch.setattr(workflow, "concluded", lambda *given: (told, of, left(closed)))
     monkeypatch.setattr(workflow, "held_out_gap", lambda *given: left(before))
     said = (SimpleNamespace(rejected=()), of, None)
-    got = workflow._split_by_what_is_off(cast(Vehicle, None), (), cast(Any, said), "")
+    got = workflow._split_by_what_is_off(cast(Vehicle, None), of, cast(Any, said), "")
     assert (got is not said) == adopted
