@@ -67,6 +67,8 @@ class VehicleBatch:
         gusty = np.flatnonzero(params[:, turbulence.SIGMA] != 0.0).tolist()
         self._gusts = {i: GustDraws(seed + i, rows[i : i + 1]) for i in gusty}
         self._steps = compiled_steps(any(_acts_in_the_loop(vehicle) for vehicle in vehicles))
+        if gusty and not self._steps[2]:
+            raise InputError("batch: this NumPy hides what draws gusts; take NumPy's own wheel, or no turbulence")
         self._state = _by_field(rows)
         by_field = _by_field(params)
         by_field[P_GROUND, self._count :] = 0.0  # what fills the last block has no ground to slow it down

@@ -191,9 +191,10 @@ def compiled_steps(effects: bool) -> tuple[int, int, int]:
     """Addresses of the step of a block, of the step of one vehicle's rows, and of NumPy's fill with standard normals.
 
     `effects`: whether any effect of NAMES_IN_THE_LOOP acts in any vehicle.  The fill (generator, count, numbers) is
-    what `Generator.standard_normal` calls; NumPy's guide "Extending via CFFI" has it.
+    what `Generator.standard_normal` calls; NumPy's guide "Extending via CFFI" has it; 0 in a NumPy that hides it.
     """
-    normals = ctypes.cast(ctypes.CDLL(_generator.__file__).random_standard_normal_fill, ctypes.c_void_p).value
+    fill = getattr(ctypes.CDLL(_generator.__file__), "random_standard_normal_fill", None)
+    normals = ctypes.cast(fill, ctypes.c_void_p).value if fill is not None else 0
     return compiled_at(_step_with_effects if effects else _step_without), compiled_at(_step_alone), normals or 0
 
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from fleet import QUAD, TYPICAL, quad, random_vehicle, set_random_state
 
 from flightstack.effects.row import PLACES, S_FORCE
+from flightstack.types import InputError
+from flightstack_sim import batch
 from flightstack_sim.batch import BatchPlant
+from flightstack_sim.batch_step import compiled_steps
 from flightstack_sim.parameters import derive, parameter_row
 from flightstack_sim.plant import NativePlant, evaluate_rows
 
@@ -145,3 +149,12 @@ def test_rows_whose_raw_numbers_are_changed_and_derived_anew_are_the_changed_veh
         alone._state[:, :S_FORCE] = plant._state[:, :S_FORCE]
         alone.evaluate()
         assert np.array_equal(row[S_FORCE : S_FORCE + 6], alone._state[0, S_FORCE : S_FORCE + 6])
+
+
+def test_a_numpy_that_hides_what_draws_gusts_flies_all_but_gusts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "compiled_steps", lambda effects: (*compiled_steps(effects)[:2], 0))
+    with pytest.raises(InputError, match="NumPy"):
+        BatchPlant([quad(turbulence={"sigma_mps": 1.0, "length_m": 20.0})], seed=0)
+    plant = BatchPlant([QUAD], seed=0)
+    plant.run(np.full(4, 1.0), 100)
+    assert plant.vel_ned_mps[0, 2] < -0.1
