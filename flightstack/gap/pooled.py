@@ -77,7 +77,7 @@ def split_by_passes(vehicle: Vehicle, flights: Sequence[Samples]) -> FitHoldoutS
     where no flight is off at two times, seconds apart; another is cut by its time.
     """
     cuts = [_between_passes(vehicle, s) for s in flights]
-    if not any(cuts):
+    if all(cut is None for cut in cuts):
         return None
     parts = [
         _third(s, first=False) if cut is None else (s.valid & (s.t_s < cut - GUARD_S), s.valid & (s.t_s >= cut))

@@ -39,7 +39,9 @@ def on_grid(signal: Signal, t_s: F64, motor: F64, dt_s: float) -> F64:
     straight = np.interp(t_s, signal.t_s, signal.value)
     chosen = (signal.t_s >= t_s[0]) & (signal.t_s <= t_s[-1])
     at_s, volts = signal.t_s[chosen], signal.value[chosen]
-    if period_s(signal) < _RARE_S or len(volts) < 2 * _FEWEST or not np.isfinite(motor).all():
+    silent_s = float(np.diff(at_s, prepend=t_s[0], append=t_s[-1]).max())
+    rare = period_s(signal) >= _RARE_S and len(volts) >= 2 * _FEWEST
+    if not rare or silent_s > _FEWEST * period_s(signal) or not np.isfinite(motor).all():
         return quiet(straight, motor, dt_s)
     span_s = t_s[-1] - t_s[0]
     order = 2 + min(int(span_s / 60.0), _FEWEST // 2)

@@ -59,6 +59,15 @@ def test_between_rare_samples_the_voltage_falls_with_the_power(every: int) -> No
     assert float(np.std(np.interp(t_s, measured.t_s, measured.value) - true_v)) > 3.0 * STD_V
 
 
+@pytest.mark.parametrize("kept", [slice(3750, None), slice(0, 3750), [*range(2500), *range(5000, 7500)]])
+def test_a_stream_that_is_not_there_all_the_time_is_drawn_on_by_no_parabola(kept: slice | list[int]) -> None:
+    true_v, motor = flight()
+    t_s = DT_S * np.arange(len(true_v))
+    noisy = true_v + STD_V * np.random.default_rng(1).standard_normal(len(true_v))
+    part = Signal(t_s[kept][::125], noisy[kept][::125], "battery_v")
+    assert np.array_equal(on_grid(part, t_s, motor, DT_S), np.interp(t_s, part.t_s, part.value))
+
+
 def test_what_goes_its_own_way_between_rare_samples_is_left_as_it_was_measured() -> None:
     true_v, motor = flight()
     heater = 0.3 * (np.sin(2.0 * np.pi * 0.04 * DT_S * np.arange(len(true_v))) > 0.0)
