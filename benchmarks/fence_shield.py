@@ -210,7 +210,7 @@ class ShieldFlight:
         assert isinstance(stack.filter, TimedSiteFilter)
         self.timed, self.router = stack.filter, ShieldRouter(stack, relay, refiner)
         self.site = load_site(site, None)
-        self.flat = packed(self.site, np.zeros((1, 2)), 1.7)
+        self.flat = packed(self.site, np.zeros((1, 2)), self.timed.chute_m)
         self.start, self.pilot = np.zeros(3), Pilot(world.seed)
         self.truth_weight_n = world.truth(believed).weight_n
         self._size_n = float(np.linalg.norm(world.wind_g)) * self.truth_weight_n

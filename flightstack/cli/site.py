@@ -71,6 +71,11 @@ class TimedSiteFilter(TimedFilter):
         return after
 
     @property
+    def chute_m(self) -> float:
+        """Radius of the chutes."""
+        return self._of_site.chute_m
+
+    @property
     def chute_room_m(self) -> float:
         """How far from its middle a vehicle at rest still is within its chute."""
         return self._of_site.chute_room_m

@@ -11,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.barrier.response import (
+    C_CURVE,
     C_HOLD,
     C_NORM_HIGH,
     C_NORM_LOW,
     C_RATE_DELAY,
+    C_SPECIFIC,
     CHAIN,
     M_ROTORS,
     STATE,
@@ -27,6 +29,8 @@ from flightstack.barrier.response import (
 )
 from flightstack.frames import quat_to_matrix, rotate
 from flightstack.jit import njit, njit_called
+from flightstack.lift_off import GENTLE_RADPS
+from flightstack.model import thrust_to_norm
 from flightstack.rows import FORCE_Z, RATE_X, RATE_Y
 from flightstack.site import slide
 from flightstack.site.backup import (
@@ -63,6 +67,9 @@ WAITING, PASSED, CHANGED = 1, 2, 3
 _READ_AFTER_S, _READ_TIME_S = 0.5, 0.5
 _AIRBORNE_M = 0.1
 _LEAST_THRUST = 0.35
+_STANDS_UPRIGHT, _LEVEL_PS = 0.98, 6.5
+_DOWN_SHARE = 0.5
+"""Of the weight, at rest: what is left of it puts all legs down and holds them there against 0.15 g."""
 BROKEN_S = 0.1
 _SHARES = (0.75, 0.5, 0.25, 0.125)
 _NEAR_M = 100.0
@@ -223,15 +230,19 @@ def _decide(
     site[CHUTE] = -1.0 if n[LEFT] > 0.0 else site[OPEN]
     took_off = n[LEFT] == 0.0 and n[READ_S] > 0.0
     site[GROUND] = 1.0 if took_off and origin[2] - state[2] >= _AIRBORNE_M else 0.0
+    stands = n[LEFT] == 0.0 and origin[2] - state[2] < _AIRBORNE_M
+    turned = stands and _gently(state, rate)
     norm, code = _slid(now, of, s, known.vehicle, commands.wanted_norm, buffers)
     n[KEPT], n[SHARE], n[OFF] = 0.0, 1.0, 0.0
     if _clear(now, norm, rate, of, buffers):
         _commit(n, kept.committed, buffers.scratch, begins_us)
         if code != _FREE:
             n[EDGE] = code
-        return norm, PASSED if code == _FREE else CHANGED
+        return norm, PASSED if code == _FREE and not turned else CHANGED
     if n[COMMITTED] == 0.0:
         return commands.wanted_norm, WAITING
+    if stands:
+        return _set_down(now, known.vehicle, rate), CHANGED
     return _held(now, norm, of, kept.committed, buffers, begins_us)
 
 
@@ -294,6 +305,40 @@ def _slid(now: Now, of: Keeping, s: F64, vehicle: F64, norm: float, buffers: Buf
         fastest = min(vehicle[CHAIN + 9 + i], of.row[JERK] / STANDARD_GRAVITY_MPS2)
         rate[i] = min(max(rate[i], -fastest), fastest)
     return norm, code
+
+
+@njit
+def _level(state: F64, rate: F64) -> float:
+    """Roll and pitch rates towards upright, gently, in place; cosine of the lean."""
+    r = quat_to_matrix(state[6:10])
+    rate[0] = min(max(-_LEVEL_PS * r[2, 1], -GENTLE_RADPS), GENTLE_RADPS)
+    rate[1] = min(max(_LEVEL_PS * r[2, 0], -GENTLE_RADPS), GENTLE_RADPS)
+    return r[2, 2]  # type: ignore[no-any-return]
+
+
+@njit
+def _gently(state: F64, rate: F64) -> bool:
+    """Body rates (3,) of a vehicle that the ground may hold, in place: gentle ones, and once it leans such as level it;
+    whether they were changed."""
+    wanted_x, wanted_y = rate[0], rate[1]
+    if _level(state, rate) >= _STANDS_UPRIGHT:
+        rate[0] = min(max(wanted_x, -GENTLE_RADPS), GENTLE_RADPS)
+        rate[1] = min(max(wanted_y, -GENTLE_RADPS), GENTLE_RADPS)
+    return rate[0] != wanted_x or rate[1] != wanted_y  # type: ignore[no-any-return]
+
+
+@njit
+def _set_down(now: Now, vehicle: F64, rate: F64) -> float:
+    """Thrust that puts the vehicle on its legs and leaves it there, and rates (in place) that level it: held by the
+    ground it follows no way out, but tips over a leg or slides as it tries to."""
+    n, chain = now.numbers, now.chain
+    _level(now.state, rate)
+    rate[2] = 0.0
+    n[KEPT], n[SHARE] = 1.0, 0.0
+    share = _DOWN_SHARE + (1.0 - _DOWN_SHARE) * max(now.state[5], 0.0) / slide.LANDING_MPS
+    gain = n[GAIN] if is_read(n) else vehicle[_GAINS + 1]
+    norm = thrust_to_norm(share * STANDARD_GRAVITY_MPS2 / gain, chain[C_SPECIFIC], chain[C_CURVE])
+    return float(min(max(norm, chain[C_NORM_LOW]), chain[C_NORM_HIGH]))
 
 
 @njit

@@ -117,9 +117,14 @@ class SiteFilter:
         return SiteState(origin_ned_m.copy(), new_memory(), numbers, np.zeros((STEPS, ROW)), np.zeros(bending.SIZE))
 
     @property
+    def chute_m(self) -> float:
+        """Radius of the chutes."""
+        return float(self._site[OPEN])
+
+    @property
     def chute_room_m(self) -> float:
         """How far from the middle of its chute a vehicle at rest still is within it."""
-        return float(self._site[OPEN]) - self.certificate.kept_m
+        return self.chute_m - self.certificate.kept_m
 
     def adopt(self, state: SiteState, certificate: Certificate) -> SiteState:
         """Certificates of regions mean nothing here."""
@@ -153,7 +158,7 @@ class SiteFilter:
         It is taken where all that is committed (the way out and its tube; where nobody flies by one, the place at
         rest) is clear of it: what holds for the old site then holds for the new one.
         """
-        chute_m = float(self._site[OPEN]) if site.chute_m is None else site.chute_m
+        chute_m = self.chute_m if site.chute_m is None else site.chute_m
         kept, half = self.certificate.kept_m, self.certificate.half_m
         if chute_m < kept or not site.ceiling_m - site.floor_m > 2.0 * half:
             return (

@@ -54,7 +54,7 @@ slows a fall and a climb; the jerk of a reference that is led."""
 _ROUNDS_OF_ITERATION = 40
 _NEVER_MPS2 = -25.0
 _ON_TOP = 1e-6
-_LANDING_MPS = 0.7
+LANDING_MPS = 0.7
 """A vehicle in the chute touches the ground no faster: PX4's MPC_LAND_SPEED."""
 
 
@@ -100,7 +100,7 @@ def bounds(site: F64, p: F64, v: F64, s: F64, rows: F64) -> int:
         count = _upright_row(rows, count, FLOOR_CODE, True, height - site[FLOOR] - s[HALF], v, s)
     elif site[GROUND] > 0.0:
         slower = v.copy()
-        slower[2] -= _LANDING_MPS
+        slower[2] -= LANDING_MPS
         count = _upright_row(rows, count, FLOOR_CODE, True, height, slower, s)
     count = _upright_row(rows, count, CEILING_CODE, False, site[CEILING] - height - s[HALF], v, s)
     at = HEAD + 2 * int(site[CHUTES])

@@ -13,6 +13,7 @@ import pytest
 
 from benchmarks.attack_worlds import World
 from benchmarks.fence_flight import DITHER, NOMINAL, PUSH, RANDOM, THROUGH, Attack, FenceFlight, Outcome
+from benchmarks.fence_shield import flown
 from benchmarks.fence_vehicles import flight, planted
 from benchmarks.fence_worlds import HOVER
 from flightstack.rows import VEL_N
@@ -221,6 +222,17 @@ def test_a_push_into_the_ground_before_the_chute_was_left_touches_it_gently(tmp_
     assert 0.3 < heights[0] < 0.6
     assert min(heights) < 0.1  # it came down
     assert max(vel[2] for _, _, vel in seen) < 1.2
+
+
+@pytest.mark.parametrize("seed", [2750111, 2760156])
+def test_a_program_that_plays_with_the_ground_does_not_slide_out_of_the_chute(tmp_path: Path, seed: int) -> None:
+    """Its legs on the ground a vehicle can't follow a way out: it slid out of the chute below the floor, leaning on one
+    leg by up to 46 degrees, at up to 3.4 m/s."""
+    row = flown(seed, 20.0, tmp_path)
+    assert row["exits"] == 0
+    assert row["short"]
+    assert row["engaged"] > 2500
+    assert row["touched_mps"] < 1.3  # 0.1 m of free fall: 1.4
 
 
 def test_a_heavy_vehicle_that_turns_slowly_is_kept_as_well(tmp_path: Path) -> None:
