@@ -367,8 +367,8 @@ def main() -> None:
     beside = sum(row["beside"] > 0 for row in flights)
     print(f"engaged in {100.0 * engaged:.1f} % of the ticks in OFFBOARD; {died} programs died, {handed} handed over")
     print(f"{beside} entered OFFBOARD outside, or left it after they entered it with no way out clear")
-    short = [row["touched_mps"] for row in flights if row["short"]]
-    print(f"{len(short)} began before the chute was left, touched the ground at {max(short, default=0.0)} m/s at most")
+    short, fastest = sum(row["short"] for row in flights), max((row["touched_mps"] for row in flights), default=0.0)
+    print(f"{short} began before the chute was left; the ground was touched in OFFBOARD at {fastest} m/s at most")
 
 
 if __name__ == "__main__":

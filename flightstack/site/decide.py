@@ -56,13 +56,13 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 (
     COMMITTED, SINCE_US, COUNT, GAIN, READ_S, LAST_US, EDGE, CLEARANCE, OFF, KEPT, SHARE, HOLD_S, FORCE,
 ) = range(13)  # fmt: skip
-SENT, LEFT, BEYOND_S, SPIN, MEMORY = FORCE + 3, FORCE + 6, FORCE + 7, FORCE + 8, FORCE + 10
+SENT, LEFT, BEYOND_S, SPIN, SURE, MEMORY = FORCE + 3, FORCE + 6, FORCE + 7, FORCE + 8, FORCE + 10, FORCE + 11
 """1 where a way out is committed; when it begins, its number of points; the gain and for how long it was read; time of
 the last tick; what was nearest to being forbidden, how clear the way is; how far the vehicle is from the way that it
 follows; 1 where it follows it; share of the wanted command that was let through; the hold; the force that
 the accelerometer shows (3, NED, m/s^2); body rates sent last (3); 1 once the chute of take-off was left; for how long
 the force has been more than the certificate says (s; BROKEN_S: once and for all); what roll and pitch rate change by
-(2, 1/s^2)."""
+(2, 1/s^2); 1 where the way that is committed was clear."""
 WAITING, PASSED, CHANGED = 1, 2, 3
 _READ_AFTER_S, _READ_TIME_S = 0.5, 0.5
 _AIRBORNE_M = 0.1
@@ -186,15 +186,13 @@ def _clear(now: Now, norm: float, rate: F64, of: Keeping, buffers: Buffers) -> b
     count = 0
     if r[2, 2] + _TILT_AHEAD_S * (after[RATE_Y] * r[2, 0] - after[RATE_X] * r[2, 1]) >= p[UPRIGHT]:
         count = roll(start, p, of.half, buffers.scratch, buffers.way)
+    n[COUNT] = count
     if count == 0:
         n[EDGE] = TILT_CODE
         return False
     clearance, edge = clear_of(of.site, buffers.way, count, _NEAR_M)
     n[CLEARANCE], n[EDGE] = clearance, edge
-    if clearance < 0.0:
-        return False
-    n[COUNT] = count
-    return True
+    return clearance >= 0.0
 
 
 @njit_called
@@ -224,26 +222,38 @@ def _decide(
         rate[i] = commands.wanted_rate[i]
     now = Now(known.vehicle[:CHAIN], state, spin, known.vehicle[_ROTORS_S], offset, origin, n)
     of = Keeping(known.rows[at], known.halves[1 if is_read(n) else 0], site)
-    s = known.soft[at]
-    if origin[2] - state[2] > site[FLOOR] + s[slide.HALF] + _ABOVE_M:
-        n[LEFT] = 1.0
-    site[CHUTE] = -1.0 if n[LEFT] > 0.0 else site[OPEN]
+    s, height = known.soft[at], origin[2] - state[2]
     took_off = n[LEFT] == 0.0 and n[READ_S] > 0.0
-    site[GROUND] = 1.0 if took_off and origin[2] - state[2] >= _AIRBORNE_M else 0.0
-    stands = n[LEFT] == 0.0 and origin[2] - state[2] < _AIRBORNE_M
+    site[GROUND] = 1.0 if took_off and height >= _AIRBORNE_M else 0.0
+    stands = n[LEFT] == 0.0 and height < _AIRBORNE_M
     turned = stands and _gently(state, rate)
-    norm, code = _slid(now, of, s, known.vehicle, commands.wanted_norm, buffers)
     n[KEPT], n[SHARE], n[OFF] = 0.0, 1.0, 0.0
-    if _clear(now, norm, rate, of, buffers):
+    leaves = n[LEFT] == 0.0 and height > site[FLOOR] + s[slide.HALF] + _ABOVE_M
+    site[CHUTE] = -1.0 if leaves or n[LEFT] > 0.0 else site[OPEN]
+    norm, code = _slid(now, of, s, known.vehicle, commands.wanted_norm, buffers)
+    clear = _clear(now, norm, rate, of, buffers)
+    if leaves and clear:
+        n[LEFT] = 1.0
+    elif leaves:  # not yet: there is no way out above the floor
+        site[CHUTE] = site[OPEN]
+        for i in range(3):
+            rate[i] = commands.wanted_rate[i]
+        norm, code = _slid(now, of, s, known.vehicle, commands.wanted_norm, buffers)
+        clear = _clear(now, norm, rate, of, buffers)
+    if clear:
         _commit(n, kept.committed, buffers.scratch, begins_us)
         if code != _FREE:
             n[EDGE] = code
         return norm, PASSED if code == _FREE and not turned else CHANGED
     if n[COMMITTED] == 0.0:
-        return commands.wanted_norm, WAITING
+        if height < _AIRBORNE_M or n[COUNT] == 0.0:
+            return commands.wanted_norm, WAITING
+        _commit(n, kept.committed, buffers.scratch, begins_us)  # the best there is: it stops and holds
+        n[SURE] = 0.0
     if stands:
         return _set_down(now, known.vehicle, rate), CHANGED
-    return _held(now, norm, of, kept.committed, buffers, begins_us)
+    norm = _held(now, norm, of, kept.committed, buffers, begins_us)
+    return norm, CHANGED if n[SURE] > 0.0 else WAITING
 
 
 @njit_called
@@ -347,13 +357,13 @@ def _commit(n: F64, committed: F64, scratch: F64, begins_us: float) -> None:
     for k in range(count):
         for i in range(ROW):
             committed[k, i] = scratch[k, i]
-    n[COMMITTED], n[SINCE_US] = count, begins_us + 1e6 * n[HOLD_S]
+    n[COMMITTED], n[SINCE_US], n[SURE] = count, begins_us + 1e6 * n[HOLD_S], 1.0
 
 
 @njit
 def _held(
     now: Now, norm: float, of: Keeping, committed: F64, buffers: Buffers, begins_us: float
-) -> tuple[float, int]:  # fmt: skip
+) -> float:  # fmt: skip
     """The committed way is kept to; as much of the wanted command as leaves a way out clear is let through."""
     chain, state, n, rate = now.chain, now.state, now.numbers, buffers.rate
     clearance, edge = n[CLEARANCE], n[EDGE]
@@ -375,8 +385,8 @@ def _held(
             for i in range(3):
                 rate[i] = share_rate[i]
             n[SHARE], n[CLEARANCE], n[EDGE] = share, clearance, edge
-            return share_norm, CHANGED
+            return share_norm  # type: ignore[no-any-return]
     for i in range(3):
         rate[i] = brake[i]
     n[KEPT], n[SHARE], n[CLEARANCE], n[EDGE] = 1.0, 0.0, clearance, edge
-    return brake_norm, CHANGED
+    return brake_norm

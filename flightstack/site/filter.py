@@ -234,7 +234,7 @@ class SiteFilter:
         )  # fmt: skip
         self._watch(numbers)
         row[F_H], row[F_STATUS], row[F_VERSION] = numbers[d.CLEARANCE], status, 0.0
-        if status != d.CHANGED:
+        if status != d.CHANGED and not (status == d.WAITING and numbers[d.KEPT] > 0.0):
             return state, command, Filtered(row)
         row[F_INTERVENED] = 1.0
         safe, _ = self._limiter.limit(self.model.thrust_of(norm), self._rate, command.t_us)

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import fence_shield
 from benchmarks.attack_worlds import World
 from benchmarks.fence_flight import DITHER, NOMINAL, PUSH, RANDOM, THROUGH, Attack, FenceFlight, Outcome
-from benchmarks.fence_shield import flown
 from benchmarks.fence_vehicles import flight, planted
 from benchmarks.fence_worlds import HOVER
 from flightstack.rows import VEL_N
@@ -224,11 +224,16 @@ def test_a_push_into_the_ground_before_the_chute_was_left_touches_it_gently(tmp_
     assert max(vel[2] for _, _, vel in seen) < 1.2
 
 
-@pytest.mark.parametrize("seed", [2750111, 2760156])
-def test_a_program_that_plays_with_the_ground_does_not_slide_out_of_the_chute(tmp_path: Path, seed: int) -> None:
+@pytest.mark.parametrize("seed", [2750111, 2760156, 2782029, 2782094])
+def test_a_program_that_begins_before_the_chute_was_left_is_kept_above_the_floor(
+    tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its legs on the ground a vehicle can't follow a way out: it slid out of the chute below the floor, leaning on one
-    leg by up to 46 degrees, at up to 3.4 m/s."""
-    row = flown(seed, 20.0, tmp_path)
+    leg by up to 46 degrees, at up to 3.4 m/s (the first two).  The chute was taken for left where nothing stopped the
+    fall that was under way above the floor (the third).  OFFBOARD that was entered while the vehicle swung was held by a
+    controller under which it swung farther, to 82 degrees and down at 5.3 m/s (the fourth)."""
+    monkeypatch.setattr(fence_shield, "_SHORT_SHARE", 1.0)
+    row = fence_shield.flown(seed, 20.0, tmp_path)
     assert row["exits"] == 0
     assert row["short"]
     assert row["engaged"] > 2500
