@@ -217,6 +217,11 @@ def _above(scenario: Scenario, first: FlatOutput) -> F64:
     return np.array([0.0, 0.0, min(down_m, -_LEAST_HEIGHT_M), first.yaw_rad])
 
 
+def peak_speed_mps(scenario: Scenario) -> float:
+    """Greatest speed of the track."""
+    return _peaks(scenario)[0]
+
+
 def _peaks(scenario: Scenario) -> tuple[float, float]:
     """Greatest speed and acceleration of the track: what the run-up may use too, where the track is fast."""
     points = [scenario.trajectory.at(t) for t in np.linspace(0.0, min(scenario.duration_s, _PEAKS_S), _PEAKS_POINTS)]

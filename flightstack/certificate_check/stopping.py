@@ -1,4 +1,4 @@
-"""Certificates of a stop (`flightstack.stopping/5`): ledger, tubes and braking worked out anew; shares no code.
+"""Certificates of a stop (`flightstack.stopping/6`): ledger, tubes and braking worked out anew; shares no code.
 
 Across: p' = v, v' = a + d + r, a' = j, lag (rotors j'' + j') = (1 + 0.05 s / lag) (-(k_a (a + 0.85 o) + k_v (v + n_v)
 + k_p (p + n_p)) - j) - 0.05 s / lag rotors j', o' = (d - o) / 0.1 s; along: the same without j,
@@ -19,7 +19,7 @@ from .left import Loop, Way, laid_out, left
 from .reading import Refused, Unreadable, number, numbers, table_of
 
 _KIND = "flightstack.stopping/"
-SCHEMA = f"{_KIND}5"
+SCHEMA = f"{_KIND}6"
 _GRAVITY = 9.80665
 _OBSERVER_S = 0.1
 _STEP_S, _HORIZON_S = 0.002, 10.0
@@ -39,6 +39,8 @@ _ROOM = 0.01
 _K_SIGMA = 4.3
 _LIGHTEST, _HEAVIEST, _MOST_FORCE_G = 0.8, 1.5, 0.15
 """The prior of a vehicle that has not flown: nothing narrower has to be shown than this."""
+_FASTER = 1.5**0.5
+"""How much faster than was flown a narrower one may hold."""
 _SPEEDS_MPS = (1.0, 3.0, 5.0)
 _LINES = ("force", "gain", "estimate", "torque", "model")
 _LOOP = (
@@ -68,10 +70,10 @@ def check_stopping(text: str) -> list[str]:
             f'schema is "{schema}", not "{SCHEMA}": make the certificate of a stop anew with certify --site'
         )
     top = table_of(said, _TOP, "certificate")
-    low, high, force_g = numbers(top["prior"], ("mass_low", "mass_high", "force_g"), "prior")
+    low, high, force_g, speed = numbers(top["prior"], ("mass_low", "mass_high", "force_g", "speed_mps"), "prior")
     if not (0.3 <= low <= high <= 3.0 and 0.0 <= force_g <= 1.0):
         raise Refused("prior: a range of masses from 0.3 to 3 and a force of at most 1 g are looked at")
-    _learned(top["learned"], (low, high, force_g))
+    _learned(top["learned"], (low, high, force_g, speed))
     sums = _ledger(top["ledger"], force_g)
     lines = ["prior: holds what the flight is said to have shown", f"ledger: {len(_LINES)} lines, force {force_g:g} g"]
     turning = _turning(top["turning"], top["braking"], high)
@@ -97,17 +99,26 @@ def check_stopping(text: str) -> list[str]:
     return lines + _left(ways, loops["across"], turning, float(np.hypot(steps[0], steps[1])))
 
 
-def _learned(value: Any, prior: tuple[float, float, float]) -> None:
-    """The prior is no narrower than what was learned leaves open, nor than what is known without any flight."""
-    gain, sigma, force, _ = numbers(value, ("gain", "gain_sigma", "force_mps2", "flight_s"), "learned")
-    low, high, force_g = prior
-    if not (sigma >= 0.0 and force >= 0.0 and gain > 0.0):
-        raise Refused("learned: a gain is above 0, its deviation and a force are not below")
+def _learned(value: Any, prior: tuple[float, float, float, float]) -> None:
+    """The prior is no narrower than what was learned leaves open, nor than what is known without any flight; and holds
+    no faster than was flown in every direction, with the force that grows with the square of the speed."""
+    gain, sigma, force, _, flown = numbers(
+        value, ("gain", "gain_sigma", "force_mps2", "flight_s", "speed_mps"), "learned"
+    )
+    low, high, force_g, speed = prior
+    if not (sigma >= 0.0 and force >= 0.0 and gain > 0.0 and flown >= 0.0):
+        raise Refused("learned: a gain is above 0, its deviation, a force and a speed are not below")
     least, most = max(gain - _K_SIGMA * sigma, 1.0 / _HEAVIEST), min(gain + _K_SIGMA * sigma, 1.0 / _LIGHTEST)
     if not (1.0 / high <= least + 1e-9 and 1.0 / low >= most - 1e-9):
         raise Refused(f"prior: masses of {low:.4g} to {high:.4g} leave out what learned.gain allows")
+    if force > _MOST_FORCE_G * _GRAVITY:
+        raise Refused(f"learned.force_mps2 = {force:.4g}: more than {_MOST_FORCE_G:g} g is not held against")
+    is_narrow = low > _LIGHTEST or high < _HEAVIEST or force_g < _MOST_FORCE_G
+    if is_narrow and not speed <= _FASTER * flown + 1e-9:
+        raise Refused(f"prior: {speed:.4g} m/s are more than {_FASTER:.3f} times learned.speed_mps = {flown:.4g}")
+    force *= max(speed / flown, 1.0) ** 2 if is_narrow and flown > 0.0 else 1.0
     if not force_g * _GRAVITY >= min(force, _MOST_FORCE_G * _GRAVITY) - 1e-9:
-        raise Refused(f"prior: {force_g:.4g} g is less than learned.force_mps2 = {force:.4g}")
+        raise Refused(f"prior: {force_g:.4g} g is less than learned.force_mps2 at its speed: {force:.4g}")
 
 
 def _ways(value: Any, across_mps2: float, radius_m: float) -> None:

@@ -33,8 +33,11 @@ if TYPE_CHECKING:
     from flightstack.cli.flight import FlyOptions
 
 
+_REGION = "paper-barrier"
+
+
 class _Certify:
-    scenario: Annotated[str, typer.Option(help="A shipped scenario with a region, or a .toml file.")] = "paper-barrier"
+    scenario: Annotated[str, typer.Option(help="A shipped scenario with a region, or a .toml file.")] = _REGION
     as_published: Annotated[
         bool, typer.Option("--as-published", help="The paper's own barrier, filter and acceptance, for the record.")
     ] = False
@@ -70,9 +73,15 @@ def certify(given: SimpleNamespace) -> None:
         _check(check, log, given.vehicle, json)
     if log is not None:
         raise InputError("--log belongs to --check: the log of a new flight lies in --out")
-    if given.site is not None and given.scenario == "paper-barrier":
-        asked["scenario"] = "figure8"
-    (_explore if given.site is None else _certify_site)(FlyOptions(**asked | {"home": parse_home(given.home)}), json)
+    asked["home"] = parse_home(given.home)
+    if given.site is None:
+        _explore(FlyOptions(**asked), json)
+        return
+    from flightstack.cli.certify_site import EXPLORED
+
+    if explores := given.scenario == _REGION:
+        asked["scenario"] = EXPLORED
+    _certify_site(FlyOptions(**asked), json, explores=explores)
 
 
 def _check(file: Path, log: Path | None, vehicle: str | None, json: Path | None) -> NoReturn:
@@ -100,17 +109,16 @@ def _explore(options: FlyOptions, json: Path | None) -> None:
     _end(result, interrupts, json)
 
 
-def _certify_site(options: FlyOptions, json: Path | None) -> None:
+def _certify_site(options: FlyOptions, json: Path | None, *, explores: bool) -> None:
     """`certify --site`."""
     from flightstack.cli import terminal
     from flightstack.cli.certify_site import certify_site
 
     interrupts = Interrupts()
     with terminal.progress(f"certifying a stop in {options.site}") as show:
-        result = certify_site(options, stop_requested=interrupts.requested, on_progress=show)
+        result = certify_site(options, explores=explores, stop_requested=interrupts.requested, on_progress=show)
     _end(result, interrupts, json)
-    made = result.as_json()
-    print(f"certificate {made['certificate']}: {made['radius_m']:.2f} m at rest, stops within {made['stops_within_m']}")
+    print(result.words)
 
 
 def _end(result: CertifyResult | SiteCertified, interrupts: Interrupts, json: Path | None) -> None:

@@ -18,7 +18,7 @@ from flightstack.cli.barrier_score import TimedFilter
 from flightstack.cli.checking import read_bounded
 from flightstack.cli.site_track import AS_ASKED, SiteTrack, track_in
 from flightstack.learning.stored import vehicle_hash
-from flightstack.mission import plan
+from flightstack.mission import peak_speed_mps, plan
 from flightstack.model import Limits, Model
 from flightstack.scenario import Scenario
 from flightstack.site import bend as bending
@@ -47,8 +47,6 @@ class TimedSiteFilter(TimedFilter):
         self._of_site = site_filter
         self.numbers: F64 = np.zeros(decide.MEMORY)
         self.bent: F64 = np.zeros(bending.SIZE)
-        self.force_most_mps2 = 0.0
-        """The greatest force that the accelerometer showed, once the chute was left."""
         self.reference: FlatOutput | None = None
         """As it was followed at the last tick."""
         self._state: SiteState | None = None
@@ -65,9 +63,6 @@ class TimedSiteFilter(TimedFilter):
         after = super().step(state, measurement, command, sent, learned)
         assert isinstance(after[0], SiteState)
         self._state, self.numbers, self.bent = after[0], after[0].numbers, after[0].bent
-        if decide.is_read(self.numbers):
-            shown = self.numbers[decide.FORCE : decide.FORCE + 3]
-            self.force_most_mps2 = max(self.force_most_mps2, float(np.linalg.norm(shown)))
         return after
 
     @property
@@ -79,6 +74,20 @@ class TimedSiteFilter(TimedFilter):
     def chute_room_m(self) -> float:
         """How far from its middle a vehicle at rest still is within its chute."""
         return self._of_site.chute_room_m
+
+    @property
+    def felt_mps2(self) -> float:
+        """The force that the accelerometer shows beyond the model."""
+        return float(np.linalg.norm(self.numbers[decide.FORCE : decide.FORCE + 3]))
+
+    @property
+    def certificate(self) -> StoppingCertificate:
+        """What is in force, unless it was falsified."""
+        return self._of_site.certificate
+
+    def narrow(self, certificate: StoppingCertificate) -> None:
+        """The filter's own."""
+        self._of_site.narrow(certificate)
 
     def replace(self, state: SiteState, site: Site, measurement: Measurement) -> str:
         """The filter's own."""
@@ -193,10 +202,14 @@ class SitePlan:
             SiteFilter(model, limits, self.certificate, self.site, self.chutes, self.chute_m, self.prior)
         )
 
+    @property
+    def flat(self) -> F64:
+        """The site, packed."""
+        return packed(self.site, self.chutes, self.chute_m)
+
     def score(self, timed: TimedSiteFilter) -> SiteScore:
         """A score; without a margin, but for the ground under the chutes."""
-        flat = packed(self.site, self.chutes, self.chute_m)
-        return SiteScore(self.site, flat, timed, is_narrow=self.prior is not None, track=self.track)
+        return SiteScore(self.site, self.flat, timed, is_narrow=self.prior is not None, track=self.track)
 
     @property
     def outlines(self) -> str:
@@ -312,6 +325,12 @@ def plan_site(
         _require_clear(site, packed(site, start, chute_m), np.zeros(3), (kept, 0.0), "the start")
         return SitePlan(site, certificate, start, chute_m, estimate, wider)
     track = track_in(site, scenario, certificate, estimate)
+    fastest_mps = peak_speed_mps(track.of(scenario))
+    if fastest_mps > certificate.prior.speed_mps:
+        raise InputError(
+            f"scenario {scenario.name}: flown at up to {fastest_mps:.1f} m/s, and the certificate holds up to "
+            f"{certificate.prior.speed_mps:.1f} m/s: fly it slower, or certify where there is room to be faster"
+        )
     mission = plan(track.of(scenario), np.zeros(3))
     landing = mission.reference(mission.track_end_s + 60.0).pos_ned_m
     chutes = np.array([[0.0, 0.0], landing[:2]])

@@ -1,8 +1,8 @@
-"""Certificates of a stop as files, `flightstack.stopping/5` (JSON): what was learned, and all that follows from it.
+"""Certificates of a stop as files, `flightstack.stopping/6` (JSON): what was learned, and all that follows from it.
 
-A file says for which vehicle, sensors, mass and force it holds, the ledger, both loops with their tubes, and how hard
-the vehicle brakes; `certify --check` works the tubes and the braking out anew, with code of its own.  To fly by, the
-same numbers are made from the believed vehicle, and have to agree.
+A file says for which vehicle, sensors, mass, force and speed it holds, the ledger, both loops with their tubes, and how
+hard the vehicle brakes; `certify --check` works the tubes and the braking out anew, with code of its own.  To fly by,
+the same numbers are made from the believed vehicle, and have to agree.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import Any
 
 from flightstack.checked import number
 from flightstack.site import backup as b
-from flightstack.site.stopping import Prior, StoppingCertificate
+from flightstack.site.stopping import ANY_SPEED_MPS, Prior, StoppingCertificate
 from flightstack.site.tube import LoopBounds, Tube
 from flightstack.types import STANDARD_GRAVITY_MPS2, InputError
 
-SCHEMA = "flightstack.stopping/5"
+SCHEMA = "flightstack.stopping/6"
 _AGREE = 1e-6
 SPEEDS_MPS = (1.0, 3.0, 5.0)
 _WAY = {
@@ -76,7 +76,7 @@ def _loop(tube: Tube, doubts: LoopBounds, lags_s: tuple[float, float]) -> dict[s
 
 
 def prior_of(text: str, source: str, vehicle_hash: str, sensors: str) -> Prior:
-    """What a file says of mass and force; InputError where it is none, or for another vehicle or other sensors."""
+    """What a file says of mass, force and speed; InputError where it is none, or of another vehicle or sensors."""
     try:
         said = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -94,7 +94,8 @@ def prior_of(text: str, source: str, vehicle_hash: str, sensors: str) -> Prior:
         raise InputError(f"{source}: prior is missing")
     low = number(prior.get("mass_low"), f"{source}: prior.mass_low", 0.5, 2.0)
     high = number(prior.get("mass_high"), f"{source}: prior.mass_high", low, 2.0)
-    return Prior(low, high, number(prior.get("force_g"), f"{source}: prior.force_g", 0.0, 0.5))
+    force = number(prior.get("force_g"), f"{source}: prior.force_g", 0.0, 0.5)
+    return Prior(low, high, force, number(prior.get("speed_mps"), f"{source}: prior.speed_mps", 0.0, ANY_SPEED_MPS))
 
 
 def _by_name(said: Any) -> dict[str, Any]:

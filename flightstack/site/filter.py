@@ -64,6 +64,8 @@ class _Known(NamedTuple):
     """`slide` parameters of a reference, by least gain as the rows."""
     most_mps2: float
     """More force than this falsifies it."""
+    fastest_mps: float
+    """So does a greater speed."""
 
     @classmethod
     def of(cls, made: StoppingCertificate, model: Model, limits: Limits) -> _Known:
@@ -73,7 +75,8 @@ class _Known(NamedTuple):
         vehicle = np.concatenate([made.chain, made.response.ravel(), limits.rate_max_radps, ends])
         far, doubts = made.soft.copy(), made.doubts[0]
         far[:, slide.RADIUS] += made.kept_m - made.radius_m - SMOOTH_M
-        return cls((vehicle, made.rows, made.soft, made.halves()), far, doubts.force_mps2 + doubts.rest_mps2)
+        known = vehicle, made.rows, made.soft, made.halves()
+        return cls(known, far, doubts.force_mps2 + doubts.rest_mps2, made.prior.speed_mps)
 
 
 class SiteFilter:
@@ -129,6 +132,12 @@ class SiteFilter:
     def adopt(self, state: SiteState, certificate: Certificate) -> SiteState:
         """Certificates of regions mean nothing here."""
         return state
+
+    def narrow(self, certificate: StoppingCertificate) -> None:
+        """Keep to a certificate that was learned of the same vehicle, from the next tick on; at rest only: a way that
+        is committed there is a hold, and its tube was clear with the wider certificate's."""
+        self.certificate = certificate
+        self._known[0] = _Known.of(certificate, self.model, self.limits)
 
     def governed(self, state: SiteState) -> GovernorLimits | None:
         """Those of the certificate, always."""
@@ -204,12 +213,13 @@ class SiteFilter:
         """The certificate's numbers, or the prior's once it was falsified."""
         return self._known[1 if numbers[d.BEYOND_S] >= d.BROKEN_S else 0]
 
-    def _watch(self, numbers: F64) -> None:
-        """Whether the force that is shown is one that the certificate knows; once it was not for long, never again."""
+    def _watch(self, numbers: F64, speed_mps: float) -> None:
+        """Whether the certificate knows force and speed that are shown; once it did not for long, never again."""
         if numbers[d.BEYOND_S] >= d.BROKEN_S:
             return
         shown = float(np.linalg.norm(numbers[d.FORCE : d.FORCE + 3]))
-        beyond = d.is_read(numbers) and shown > self._known[0].most_mps2
+        known = self._known[0]
+        beyond = d.is_read(numbers) and (shown > known.most_mps2 or speed_mps > known.fastest_mps)
         numbers[d.BEYOND_S] = numbers[d.BEYOND_S] + numbers[d.HOLD_S] if beyond else 0.0
 
     def step(
@@ -232,7 +242,7 @@ class SiteFilter:
             times, (sent.thrust_norm, sent.rate_frd_radps, command.thrust_norm, command.rate_frd_radps),
             (self._scratch, self._way, row, self._rate),
         )  # fmt: skip
-        self._watch(numbers)
+        self._watch(numbers, float(np.linalg.norm(measurement.row[3:6])))
         row[F_H], row[F_STATUS], row[F_VERSION] = numbers[d.CLEARANCE], status, 0.0
         if status != d.CHANGED and not (status == d.WAITING and numbers[d.KEPT] > 0.0):
             return state, command, Filtered(row)

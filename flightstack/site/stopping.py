@@ -76,15 +76,19 @@ _STEER_PS = 6.5
 _RINGING = 4.0
 """chi beyond which nothing but the rate loop itself is to blame."""
 GAIN_STEP = 0.02
+ANY_SPEED_MPS = 100.0
+"""More than any multicopter flies."""
 
 
 class Prior(NamedTuple):
-    """What is known before any flight."""
+    """What is known: by default before any flight."""
 
     mass_low: float = 0.8
     mass_high: float = 1.5
     force_g: float = 0.15
     """Of the true weight."""
+    speed_mps: float = ANY_SPEED_MPS
+    """Up to which all of it holds."""
 
     @property
     def gain(self) -> tuple[float, float]:

@@ -230,8 +230,8 @@ def test_a_program_that_begins_before_the_chute_was_left_is_kept_above_the_floor
 ) -> None:
     """Its legs on the ground a vehicle can't follow a way out: it slid out of the chute below the floor, leaning on one
     leg by up to 46 degrees, at up to 3.4 m/s (the first two).  The chute was taken for left where nothing stopped the
-    fall that was under way above the floor (the third).  OFFBOARD that was entered while the vehicle swung was held by a
-    controller under which it swung farther, to 82 degrees and down at 5.3 m/s (the fourth)."""
+    fall that was under way above the floor (the third).  OFFBOARD that was entered while the vehicle swung was held by
+    a controller under which it swung farther, to 82 degrees and down at 5.3 m/s (the fourth)."""
     monkeypatch.setattr(fence_shield, "_SHORT_SHARE", 1.0)
     row = fence_shield.flown(seed, 20.0, tmp_path)
     assert row["exits"] == 0

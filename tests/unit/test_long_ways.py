@@ -62,9 +62,14 @@ def test_a_certificate_of_a_vehicle_with_gps_is_valid_and_may_be_flown(tmp_path:
     model = Model.from_vehicle(believed)
     estimate = estimate_bounds(error_statistics(load_grade("gps")))
     made = stopping(
-        believed, model, Limits(), estimate, governor_for(believed, model, Limits(), "gps"), Prior(0.94, 1.08, 0.05)
+        believed,
+        model,
+        Limits(),
+        estimate,
+        governor_for(believed, model, Limits(), "gps"),
+        Prior(0.94, 1.08, 0.05, 5.0),
     )
-    learned = {"gain": 0.995, "gain_sigma": 0.008, "force_mps2": 0.3, "flight_s": 60.0}
+    learned = {"gain": 0.995, "gain_sigma": 0.008, "force_mps2": 0.3, "flight_s": 60.0, "speed_mps": 5.0}
     path = tmp_path / "stopping.json"
     path.write_text(as_json(made, "quad-x", "hash", "gps", learned))
     require_checked(files.read_text(path))

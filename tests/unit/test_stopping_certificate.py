@@ -32,7 +32,7 @@ from flightstack.vehicle import Vehicle
 from flightstack_sim.grade import load_grade
 from tests.thorough import THOROUGH, thorough
 
-LEARNED = {"gain": 0.995, "gain_sigma": 0.008, "force_mps2": 0.3, "flight_s": 60.0}
+LEARNED = {"gain": 0.995, "gain_sigma": 0.008, "force_mps2": 0.3, "flight_s": 60.0, "speed_mps": 5.0}
 """What a flight would have to show for the prior below."""
 
 
@@ -55,7 +55,7 @@ def searched_once() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def made() -> StoppingCertificate:
-    return _of_prior(Prior(0.94, 1.08, 0.05))
+    return _of_prior(Prior(0.94, 1.08, 0.05, 6.0))
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +114,7 @@ def _claimed(row: F64, motions: Sequence[tuple[complex, ...]]) -> F64:
     return np.array(claimed)
 
 
-KINDS = [(Prior(), 0), (Prior(), 4), (Prior(), -1), (Prior(0.94, 1.08, 0.05), 0)]
+KINDS = [(Prior(), 0), (Prior(), 4), (Prior(), -1), (Prior(0.94, 1.08, 0.05, 6.0), 0)]
 
 
 @pytest.mark.parametrize(("prior", "at"), [KINDS[0], *(thorough(*kind) for kind in KINDS[1:])])
@@ -223,6 +223,9 @@ def _times(*path: object, by: float) -> Callable[[dict[str, Any]], None]:
         (_set("learned", "gain", to=0.9), "learned"),
         (_set("learned", "gain_sigma", to=0.1), "learned"),
         (_set("learned", "force_mps2", to=0.9), "learned"),
+        (_set("learned", "force_mps2", to=1.6), "held against"),
+        (_set("learned", "speed_mps", to=4.8), "learned.speed_mps"),
+        (_set("prior", "speed_mps", to=6.2), "learned.speed_mps"),
         (_set("stops_within_m", "5 m/s", to=2.2), "stops_within_m"),
         (_set("stops_within_m", "3 m/s", to=9.0), "stops_within_m"),
     ],
@@ -235,13 +238,13 @@ def test_a_forged_file_is_refused(text: str, forge: Callable[[dict[str, Any]], N
     assert said in verdict.lines[-1]
 
 
-@pytest.mark.parametrize("schema", ["flightstack.stopping/3", "flightstack.stopping/50", "flightstack.stopping/"])
+@pytest.mark.parametrize("schema", ["flightstack.stopping/3", "flightstack.stopping/60", "flightstack.stopping/"])
 def test_one_of_another_version_is_told_which_is_read(text: str, schema: str) -> None:
-    verdict = check(text.replace("flightstack.stopping/5", schema))
+    verdict = check(text.replace("flightstack.stopping/6", schema))
     assert not verdict.valid
     assert not verdict.readable
     assert verdict.lines == [
-        f'schema is "{schema}", not "flightstack.stopping/5": make the certificate of a stop anew with certify --site'
+        f'schema is "{schema}", not "flightstack.stopping/6": make the certificate of a stop anew with certify --site'
     ]
 
 
@@ -309,10 +312,11 @@ def test_for_whom_it_holds(made: StoppingCertificate, text: str) -> None:
 
 
 def test_what_a_flight_leaves_open_stays_within_the_prior() -> None:
-    calm = narrowed(1.0, 0.01, 0.2, 0.1)
+    calm = narrowed(1.0, 0.01, 0.2, 0.1, 4.0)
     assert calm.mass_low < 1.0 < calm.mass_high
     assert calm.force_g == pytest.approx((1.5 * 0.2 + 0.1) / 9.80665)
-    wild = narrowed(0.7, 0.2, 9.0, 0.1)
+    assert calm.speed_mps == pytest.approx(4.0 * 1.5**0.5)  # what was felt grows with the square of the speed
+    wild = narrowed(0.7, 0.2, 9.0, 0.1, 4.0)
     assert wild.mass_low >= 0.8
     assert wild.mass_high <= 1.5
     assert wild.force_g == 0.15
@@ -337,7 +341,7 @@ def test_a_powerful_vehicle_is_let_down(weights: float) -> None:
     least_mps2 = weights * STANDARD_GRAVITY_MPS2 * governor.margin  # linear: thrust by command
     left = STANDARD_GRAVITY_MPS2 * (1.0 - prior.force_g) - least_mps2 / prior.mass_low
     made = stopping(vehicle, model, Limits(), estimate, governor)
-    text = as_json(made, vehicle.name, "hash", "mocap", {**LEARNED, "gain_sigma": 1.0, "force_mps2": 2.0})
+    text = as_json(made, vehicle.name, "hash", "mocap", {**LEARNED, "gain_sigma": 1.0, "force_mps2": 1.4})
     assert 0.4 < json.loads(text)["braking"]["down_mps2"] < left
     assert not THOROUGH or check(text).valid, check(text).lines
     forged = json.loads(text)
@@ -385,7 +389,7 @@ def test_a_way_out_does_not_turn_back_where_little_snap_takes_lean_back() -> Non
     assert linear is not None
     assert made.radius_m > 1.5 * linear.radius_m[-1]
     if THOROUGH:
-        verdict = check(as_json(made, "heavy", "hash", "mocap", {**LEARNED, "gain_sigma": 1.0, "force_mps2": 2.0}))
+        verdict = check(as_json(made, "heavy", "hash", "mocap", {**LEARNED, "gain_sigma": 1.0, "force_mps2": 1.4}))
         assert verdict.valid, verdict.lines
     start, points, way = np.zeros(backup.ROW), np.zeros((backup.STEPS, backup.ROW)), np.zeros((backup.STEPS, 5))
     for speed in (1.5, 2.5, 4.0):
