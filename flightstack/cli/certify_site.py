@@ -161,13 +161,21 @@ class FasterPlanner(FlownSpeeds):
         return mission.then(t_s, path)
 
     def _end_round(self, record: TickRecord) -> None:
-        flown, learned, prior = self.flown_mps, record.learned, None
-        if math.isfinite(learned.thrust_gain_sigma):
-            made = self._certify.made(self, learned.thrust_gain, learned.thrust_gain_sigma, faster.GROWTH)
+        flown, made = self.flown_mps, self._learned(record)
+        if made is not None:
             self.timed.narrow(made)
-            prior = made.prior
-        self.rounds.append(faster.Round(self._asked_mps, flown, self.force_mps2, prior))
+        self.rounds.append(faster.Round(self._asked_mps, flown, self.force_mps2, None if made is None else made.prior))
         self._next(faster.allowed_mps(flown, self.force_mps2, self.timed.certificate.prior))
+
+    def _learned(self, record: TickRecord) -> StoppingCertificate | None:
+        """What is known by now; None: nothing of the thrust, or nothing that the vehicle can hold against."""
+        learned = record.learned
+        if not math.isfinite(learned.thrust_gain_sigma):
+            return None
+        try:
+            return self._certify.made(self, learned.thrust_gain, learned.thrust_gain_sigma, faster.GROWTH)
+        except InputError:
+            return None
 
     def _next(self, speed_mps: float) -> None:
         assert self._middle is not None

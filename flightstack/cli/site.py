@@ -86,8 +86,9 @@ class TimedSiteFilter(TimedFilter):
         return self._of_site.certificate
 
     def narrow(self, certificate: StoppingCertificate) -> None:
-        """The filter's own."""
+        """The filter's own; what falsified the one before it is in this one."""
         self._of_site.narrow(certificate)
+        self.numbers[decide.BEYOND_S] = 0.0
 
     def replace(self, state: SiteState, site: Site, measurement: Measurement) -> str:
         """The filter's own."""
