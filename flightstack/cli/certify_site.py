@@ -21,18 +21,19 @@ from flightstack.cli.compiled import FLIGHT, SITE, ensure_compiled
 from flightstack.cli.flight import FlyOptions, Setup, fly_setup, prepare
 from flightstack.cli.result import FlightResult
 from flightstack.cli.site import TimedSiteFilter
+from flightstack.cli.site_track import height_to_fly_m
 from flightstack.learning.stored import vehicle_hash
 from flightstack.mission import Mission
 from flightstack.site import faster
 from flightstack.site.certificate import SPEEDS_MPS, as_json
 from flightstack.site.decide import PASSED
 from flightstack.site.stopping import Prior, StoppingCertificate, stopping
-from flightstack.trajectory import Polynomial, hover
+from flightstack.trajectory import Polynomial, Trajectory, hover
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError, TickRecord
 
 NAME = "stopping.json"
-EXPLORED = "figure8"
-"""The scenario whose place and height the exploration takes."""
+EXPLORED = "hover"
+"""The scenario whose place the exploration takes, and at least its height."""
 EXPLORE_S = 150.0
 """The most that it may take."""
 _K_SIGMA, _SAG = 4.3, 0.02
@@ -48,7 +49,7 @@ class SiteCertified:
     certificate: Path | None
     made: StoppingCertificate | None
     learned: dict[str, Any]
-    rounds: list[faster.Round] = field(default_factory=list)
+    rounds: list[faster.StarRound] = field(default_factory=list)
     ended: str = ""
     """Why no faster round was flown; empty where a scenario was."""
 
@@ -129,7 +130,7 @@ class FasterPlanner(FlownSpeeds):
     def __init__(self, certify: _Certify, flat: F64) -> None:
         """`certify` makes a certificate of what is known by now; `flat`: the site."""
         super().__init__(certify.timed)
-        self.rounds: list[faster.Round] = []
+        self.rounds: list[faster.StarRound] = []
         self.ended = ""
         self._certify, self._flat = certify, flat
         self._middle: F64 | None = None
@@ -137,7 +138,7 @@ class FasterPlanner(FlownSpeeds):
         self._paths: list[Polynomial] = []
 
     @property
-    def told(self) -> tuple[list[faster.Round], str]:
+    def told(self) -> tuple[list[faster.StarRound], str]:
         """The rounds, and why there is no further one."""
         return self.rounds, self.ended or "its time was up"
 
@@ -164,7 +165,12 @@ class FasterPlanner(FlownSpeeds):
         flown, made = self.flown_mps, self._learned(record)
         if made is not None:
             self.timed.narrow(made)
-        self.rounds.append(faster.Round(self._asked_mps, flown, self.force_mps2, None if made is None else made.prior))
+        prior = None if made is None else made.prior
+        before = self.rounds[-1].flown_mps if self.rounds else 0.0
+        self.rounds.append(faster.StarRound(self._asked_mps, flown, self.force_mps2, prior))
+        if not faster.is_worth(flown, before):
+            self.ended = f"{self._asked_mps:.2f} m/s was asked for, and no more was flown than {flown:.2f}"
+            return
         self._next(faster.allowed_mps(flown, self.force_mps2, self.timed.certificate.prior))
 
     def _learned(self, record: TickRecord) -> StoppingCertificate | None:
@@ -177,13 +183,16 @@ class FasterPlanner(FlownSpeeds):
         except InputError:
             return None
 
+    def _fits(self, path: Trajectory) -> bool:
+        return faster.leads_clear(path, self.timed.certificate, self._flat) and self.timed.passes(path)
+
     def _next(self, speed_mps: float) -> None:
         assert self._middle is not None
-        least, made = self.flown_mps, self.timed.certificate
+        least = self.flown_mps
         if least > 0.0 and not faster.is_worth(speed_mps, least):
             self.ended = f"what was felt allows {speed_mps:.2f} m/s after {least:.2f}"
             return
-        fits, paths = faster.fastest_star(self._middle, self._yaw_rad, speed_mps, made, self._flat)
+        fits, paths = faster.fastest_star(self._middle, self._yaw_rad, speed_mps, self._fits)
         if fits == 0.0 or (least > 0.0 and not faster.is_worth(fits, least)):
             self.ended = f"the site has room for {fits:.2f} m/s in all directions"
             return
@@ -243,8 +252,8 @@ class _Certify:
     def explored(self) -> tuple[Setup, FasterPlanner]:
         """The flight that goes faster and faster where the scenario begins, at rest."""
         flight, plan = self._setup.flight, self._plan
-        first = flight.scenario.trajectory.at(0.0)
-        middle = float(first.pos_ned_m[0]), float(first.pos_ned_m[1]), float(first.pos_ned_m[2])
+        north, east, down = flight.scenario.trajectory.at(0.0).pos_ned_m.tolist()
+        middle = north, east, min(down, -height_to_fly_m(plan.site, plan.certificate, plan.estimate))
         still = replace(
             flight.scenario, trajectory=hover(middle), duration_s=self._options.duration_s or EXPLORE_S, checks=()
         )

@@ -29,6 +29,7 @@ from flightstack.site.file import MOST_BYTES, parse_site
 from flightstack.site.filter import SiteFilter, SiteState
 from flightstack.site.shape import MOST_EDGES, KeepOut, Site
 from flightstack.site.stopping import Prior, StoppingCertificate, stopping
+from flightstack.trajectory import Trajectory
 from flightstack.types import F64, Command, Filtered, FlatOutput, InputError, Learned, Measurement, TickRecord
 from flightstack.vehicle import Vehicle
 
@@ -89,6 +90,10 @@ class TimedSiteFilter(TimedFilter):
         """The filter's own; what falsified the one before it is in this one."""
         self._of_site.narrow(certificate)
         self.numbers[decide.BEYOND_S] = 0.0
+
+    def passes(self, path: Trajectory) -> bool:
+        """The filter's own."""
+        return self._of_site.passes(path)
 
     def replace(self, state: SiteState, site: Site, measurement: Measurement) -> str:
         """The filter's own."""

@@ -97,6 +97,13 @@ def _run_up(track: SiteTrack, scenario: Scenario, certificate: StoppingCertifica
     return track
 
 
+def height_to_fly_m(site: Site, certificate: StoppingCertificate, estimate: EstimateBounds) -> float:
+    """The lowest height at which nothing that a controller asks for is slid along the floor; half way up to the ceiling
+    where that is lower."""
+    low_m = site.floor_m + _low_m(certificate, estimate.vel_mps[2])
+    return float(min(low_m, 0.5 * (site.floor_m + site.ceiling_m)))
+
+
 def _low_m(certificate: StoppingCertificate, vel_mps: float) -> float:
     """How far above the floor nothing that a controller asks for is slid along it, where the estimate's vertical
     velocity is off by `vel_mps`: the bound of `slide` for a push down."""

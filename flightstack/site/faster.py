@@ -2,8 +2,9 @@
 
 A round is a star: eight straight runs from rest to rest, each turned by 135 degrees against the one before, so that
 every direction in steps of 45 degrees is flown once, and the last run ends where the first began.  A run is as fast as
-is asked only where the certified way out from each of its points is clear of everything forbidden; else the star is
-flown slower.  After a round what was felt gives a narrower certificate, under which the same room allows more.
+is asked only where the certified way out from each of its points is clear of everything forbidden, and the filter would
+not bend it; else the star is flown slower.  After a round what was felt gives a narrower certificate, under which the
+same room allows more.
 
 The next round is faster by half at most, and no faster than at which what was felt, grown with the square of the speed
 (as drag does), stays within the certificate in force.  It ends where that is hardly faster than what was flown.
@@ -15,6 +16,7 @@ Algorithm 1; what it samples next is the state of greatest uncertainty: here the
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -48,7 +50,7 @@ DIRECTIONS = np.stack([[math.cos(math.pi / 4.0 * k), math.sin(math.pi / 4.0 * k)
 """(8, 2) north, east."""
 
 
-class Round(NamedTuple):
+class StarRound(NamedTuple):
     """One star, and what came of it."""
 
     asked_mps: float
@@ -96,12 +98,12 @@ def leads_clear(path: Trajectory, made: StoppingCertificate, flat: F64) -> bool:
 
 
 def fastest_star(
-    middle_ned_m: F64, yaw_rad: float, speed_mps: float, made: StoppingCertificate, flat: F64
+    middle_ned_m: F64, yaw_rad: float, speed_mps: float, fits: Callable[[Trajectory], bool]
 ) -> tuple[float, list[Polynomial]]:
-    """The star at that speed, or the fastest below whose ways out are clear; 0 and nothing where none is."""
+    """The star at that speed, or the fastest below whose paths fit; 0 and nothing where none does."""
     while speed_mps > 0.5:
         paths = star(middle_ned_m, yaw_rad, speed_mps)
-        if all(leads_clear(path, made, flat) for path in paths):
+        if all(fits(path) for path in paths):
             return speed_mps, paths
         speed_mps *= _SLOWER
     return 0.0, []

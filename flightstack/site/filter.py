@@ -28,10 +28,11 @@ from flightstack.site.backup import LATE_S, ROW, STEPS, widest
 from flightstack.site.clearance import CHUTE, GROUND, OPEN, clear_of, edge_name, packed
 from flightstack.site.shape import Site
 from flightstack.site.stopping import GAIN_STEP, SMOOTH_M, StoppingCertificate
+from flightstack.trajectory import Trajectory
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
 
 _EMPTY = np.full(len(Filtered.nothing().row), np.nan)
-_BEND_DT_S = 0.004
+_BEND_DT_S, _BEND_EVERY_S = 0.004, 0.02
 _PAUSE_US = 50_000
 """Without a tick for longer: somebody else flew."""
 
@@ -160,6 +161,23 @@ class SiteFilter:
             return setpoint
         out[:3] += state.origin_ned_m
         return FlatOutput(out)
+
+    def passes(self, path: Trajectory) -> bool:
+        """Whether a path, relative to the origin, is bent nowhere at the least gain, nor commands that follow it slid,
+        once the chute was left."""
+        memory, site, out = np.zeros(bending.SIZE), self._site.copy(), np.empty(17)
+        site[CHUTE] = -1.0
+        known, rows = self._known[0], self._rows
+        soft, far = known.known[2][0], known.far[0]
+        bending.begin(memory, path.at(0.0).row, np.zeros(3))
+        for t_s in np.arange(0.0, path.duration_s, _BEND_EVERY_S).tolist():
+            row = path.at(t_s).row
+            near = rows[: slide.bounds(site, row[:3], row[3:6], soft, rows)]
+            if (near[:, :3] @ row[6:9] < near[:, slide.BOUND]).any():
+                return False
+            if bending.bend(memory, site, far, row, _BEND_EVERY_S, rows, self._way, out):
+                return False
+        return True
 
     def replace(self, state: SiteState, site: Site, measurement: Measurement) -> str:
         """Keep to another site, in the same local metres, from the next tick on; else one line that says why not.

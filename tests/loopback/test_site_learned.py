@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from flightstack.certificate_check import check
-from flightstack.cli.certify_site import SiteCertified, certify_site
+from flightstack.cli.certify_site import EXPLORED, SiteCertified, certify_site
 from flightstack.cli.flight import FlyOptions, fly, prepare
 from flightstack.types import InputError
 from flightstack_logs.reader import read
@@ -31,7 +31,7 @@ class Learnt:
     site: Path
 
 
-def certified(folder: Path, scenario: str = "figure8", *, explores: bool = True, **more: object) -> SiteCertified:
+def certified(folder: Path, scenario: str = EXPLORED, *, explores: bool = True, **more: object) -> SiteCertified:
     (folder / "box.toml").write_text(BOX)
     options = FlyOptions(scenario=scenario, out=folder, site=folder / "box.toml", **more)  # type: ignore[arg-type]
     return certify_site(options, explores=explores, stop_requested=lambda: "", on_progress=lambda share, phase: None)
@@ -58,7 +58,8 @@ def test_it_goes_faster_and_faster_in_all_directions(learnt: Learnt) -> None:
     ways = np.deg2rad(45.0 * np.arange(8))
     reached = np.stack([truth[:, 0] * np.cos(way) + truth[:, 1] * np.sin(way) for way in ways]).max(axis=1)
     assert reached.min() == pytest.approx(result.learned["speed_mps"], rel=0.02)
-    assert reached.min() > 3.5
+    assert reached.min() > 3.0
+    assert result.flight.barrier["changed_share"] < 0.01  # it flies what fits
     assert json.dumps(result.as_json())
 
 
