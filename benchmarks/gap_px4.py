@@ -97,13 +97,15 @@ def flown(home: Path, out: Path, flight: Drawn, instance: int, prefix: tuple[str
         (folder / "waypoints.csv").write_text(waypoints(flight.number, flight.duration_s))
         more += ["--waypoints", str(folder / "waypoints.csv")]
         more = [word for word in more if word not in ("--duration", f"{flight.duration_s:g}")]
-    logs = home / f"i{instance}" / "log"
-    old = set(logs.rglob("*.ulg"))
+    old = set(home.rglob("*.ulg"))
     with Px4(bench, params={"SIH_MASS": flight.mass_kg, "SIH_KDV": flight.drag_kgps}) as px4:
         done = fly(bench, px4, flight.scenario, *more)
-    new = sorted(set(logs.rglob("*.ulg")) - old, key=lambda path: path.stat().st_size)
-    if new:
-        shutil.move(new[-1], folder / "flight.ulg")
+    new = sorted(set(home.rglob("*.ulg")) - old, key=lambda path: path.stat().st_size)
+    if not new:
+        raise SystemExit(
+            f"error: {home}: no ULog lies there after the flight: with KEEP_LOGS=1 run.sh has to keep them"
+        )
+    shutil.move(new[-1], folder / "flight.ulg")
     loop, code = done.result.get("loop", {}), done.code
     shutil.move(done.folder / "flight.mcap", folder / "flight.mcap")
     (folder / "meta.json").write_text(json.dumps(asdict(flight) | {"code": code, "loop": loop}, indent=1))
