@@ -9,8 +9,8 @@
                  no commitment, no bent references
 
 Per method: flights with exits, share of the ticks outside, share of commands changed, and how near flights without an
-exit came to what is forbidden (median; the room that is lost).  One line of the journal per flight
-(`fence_baselines.jsonl` here, unless another is named); a run goes on where it stopped.
+exit came to what is forbidden (median; the room that is lost).  One line of the journal per flight; a run goes on where
+it stopped.
 """
 
 from __future__ import annotations
@@ -45,7 +45,6 @@ from flightstack.types import F64, Command, Filtered, FlatOutput, InputError, Le
 METHODS = ("site", "px4", "gatekeeper", "backup-cbf")
 _ACC_MPS2, _ACC_UP_MPS2, _JERK_MPS3 = 3.0, 4.0, 4.0
 """PX4's defaults: MPC_ACC_HOR, MPC_ACC_UP_MAX, MPC_JERK_AUTO."""
-_JOURNAL = Path(__file__).with_suffix(".jsonl")
 _TOLD, _NO_ROWS_M = 0.05, -1e6
 _LEFT_M, _PAUSE_US = 0.5, 50_000
 _ALL_SAID = 0.7
@@ -208,7 +207,7 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=500)
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--minutes", type=float, default=math.inf)
-    parser.add_argument("--journal", type=Path, default=_JOURNAL)
+    parser.add_argument("--journal", type=Path, default=Path("runs/fence-baselines.jsonl"))
     given = parser.parse_args()
     given.journal.parent.mkdir(parents=True, exist_ok=True)
     rows = [json.loads(line) for line in given.journal.read_text().splitlines()] if given.journal.exists() else []

@@ -71,11 +71,13 @@ class SiteCertified:
         rounds = [f"{each.flown_mps:.2f} m/s ({each.force_mps2:.3f} m/s^2 felt)" for each in self.rounds]
         lines = [f"flown in all directions: {', '.join(rounds)}; {self.ended}"] if rounds else []
         if (made := self.made) is not None:
-            prior, stops = made.prior, ", ".join(f"{made.stopping_way_m(v):.2f} m from {v:g} m/s" for v in SPEEDS_MPS)
+            prior = made.prior
+            speeds = [v for v in SPEEDS_MPS if v <= prior.speed_mps]
+            stops = ", ".join(f"{made.stopping_way_m(v):.2f} m from {v:g} m/s" for v in speeds)
             lines.append(
                 f"certificate {self.certificate}: mass {prior.mass_low:.3f} to {prior.mass_high:.3f}, "
                 f"{prior.force_g:.3f} g, up to {prior.speed_mps:.1f} m/s: {made.radius_m:.2f} m at rest, "
-                f"stops within {stops}"
+                f"stops within {stops or 'that'}"
             )
         return "\n".join(lines)
 
