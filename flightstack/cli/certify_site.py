@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from flightstack.cli import files
+from flightstack.cli.certify import EXPLORE_S
 from flightstack.cli.compiled import FLIGHT, SITE, ensure_compiled
 from flightstack.cli.flight import FlyOptions, Setup, fly_setup, prepare
 from flightstack.cli.result import FlightResult
@@ -34,7 +35,7 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError, TickRecord
 NAME = "stopping.json"
 EXPLORED = "hover"
 """The scenario whose place the exploration takes, and at least its height."""
-EXPLORE_S = 150.0
+_EXPLORE_S = 150.0
 """The most that it may take."""
 _K_SIGMA, _SAG = 4.3, 0.02
 _LEAST_FORCE_G = 0.02
@@ -233,6 +234,11 @@ def certify_site(
     return SiteCertified(flight, path, made, learned, *told)
 
 
+def prepare_explored(options: FlyOptions) -> tuple[Setup, FasterPlanner]:
+    """The flight that goes faster and faster, and what plans it; InputError where it must not be flown."""
+    return _Certify(prepare(options), options).explored()
+
+
 class _Certify:
     """Certificates of one flight's vehicle."""
 
@@ -257,9 +263,10 @@ class _Certify:
         north, east, down = flight.scenario.trajectory.at(0.0).pos_ned_m.tolist()
         middle = north, east, min(down, -height_to_fly_m(plan.site, plan.certificate, plan.estimate))
         still = replace(
-            flight.scenario, trajectory=hover(middle), duration_s=self._options.duration_s or EXPLORE_S, checks=()
+            flight.scenario, trajectory=hover(middle), duration_s=self._options.duration_s or _EXPLORE_S, checks=()
         )
-        return replace(self._setup, flight=replace(flight, scenario=still)), FasterPlanner(self, plan.flat)
+        told = replace(flight, scenario=still).with_more({EXPLORE_S: f"{still.duration_s:.12g}"})
+        return replace(self._setup, flight=told), FasterPlanner(self, plan.flat)
 
 
 def narrowed(

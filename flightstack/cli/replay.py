@@ -39,6 +39,8 @@ from mavlink_bridge.link import Link
 from mavlink_bridge.px4 import COMPONENT_AUTOPILOT
 
 _EXPLORATION = "ExplorationPlanner"
+_FASTER, _WATCHED = "FasterPlanner", "FlownSpeeds"
+"""Of `certify --site`: the one that explores, and the one that changes no mission."""
 _STOPPED = "the user asked to stop ("
 _LOST = "filter: certifies nothing more"
 
@@ -90,10 +92,8 @@ def _replayable(log: Log) -> Mapping[str, str]:
         raise InputError(f"log {log.path}: holds no flight of `flightstack fly` or `offboard`; nothing to replay")
     if "connect" in settings and "/step" not in log.tables:
         raise InputError(f"log {log.path}: does not say when each step was; it is of another version")
-    if settings.get("planner", _EXPLORATION) != _EXPLORATION:
-        raise InputError(
-            f"log {log.path}: planned on the way by {settings['planner']}; only certify's explorer is known"
-        )
+    if (planner := settings.get("planner", _EXPLORATION)) not in (_EXPLORATION, _FASTER, _WATCHED):
+        raise InputError(f"log {log.path}: planned on the way by {planner}; only certify's explorers are known")
     return settings
 
 
@@ -184,9 +184,10 @@ def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setu
         options = FlyOptions(**_common(log, settings, folder), realtime=settings["pace"] != "lockstep")
     except (KeyError, ValueError) as error:
         raise _unknown(log, error) from None
-    if "planner" not in settings:
+    if settings.get("planner", _WATCHED) == _WATCHED:
         return prepare(options), None
     from flightstack.cli.certify import EXPLORE_S, ExplorationPlanner, prepare_certify
+    from flightstack.cli.certify_site import prepare_explored
     from flightstack.explore import Explorer
 
     try:
@@ -195,7 +196,10 @@ def _prepared(log: Log, settings: Mapping[str, str], folder: Path) -> tuple[Setu
         raise InputError(
             f"log {log.path}: was explored by rules that it does not name, or by another version"
         ) from None
-    setup = prepare_certify(replace(options, duration_s=explore_s))
+    options = replace(options, duration_s=explore_s)
+    if settings["planner"] == _FASTER:
+        return prepare_explored(options)
+    setup = prepare_certify(options)
     assert setup.flight.protection.watched is not None
     return setup, ExplorationPlanner(Explorer(), setup.flight.protection.watched)
 

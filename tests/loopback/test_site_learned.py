@@ -13,6 +13,7 @@ import pytest
 from flightstack.certificate_check import check
 from flightstack.cli.certify_site import EXPLORED, SiteCertified, certify_site
 from flightstack.cli.flight import FlyOptions, fly, prepare
+from flightstack.cli.replay import replay
 from flightstack.types import InputError
 from flightstack_logs.reader import read
 
@@ -61,6 +62,14 @@ def test_it_goes_faster_and_faster_in_all_directions(learnt: Learnt) -> None:
     assert reached.min() > 3.0
     assert result.flight.barrier["changed_share"] < 0.01  # it flies what fits
     assert json.dumps(result.as_json())
+
+
+def test_its_log_is_replayed_with_the_certificates_that_were_learned(tmp_path: Path) -> None:
+    """Each round's is made again, and the next round follows from it: any other would part the ticks."""
+    result = certified(tmp_path, duration_s=32.0)
+    assert result.rounds
+    assert result.rounds[0].prior is not None
+    assert replay(tmp_path / "flight.mcap").same
 
 
 def test_its_certificate_stops_as_is_asked_and_is_flown_by(learnt: Learnt, tmp_path: Path) -> None:
