@@ -250,9 +250,9 @@ def _decide(
             return commands.wanted_norm, WAITING
         _commit(n, kept.committed, buffers.scratch, begins_us)  # the best there is: it stops and holds
         n[SURE] = 0.0
-    if stands:
-        return _set_down(now, known.vehicle, rate), CHANGED
-    norm = _held(now, norm, of, kept.committed, buffers, begins_us)
+    norm = _set_down(now, known.vehicle, rate) if stands else _held(
+        now, norm, of, kept.committed, buffers, begins_us
+    )  # fmt: skip
     return norm, CHANGED if n[SURE] > 0.0 else WAITING
 
 

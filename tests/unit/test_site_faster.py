@@ -12,11 +12,12 @@ from flightstack.cli import files
 from flightstack.cli.protection import governor_for
 from flightstack.cli.sensors import error_statistics
 from flightstack.model import Limits, Model
-from flightstack.site import faster
+from flightstack.site import decide, faster
 from flightstack.site.clearance import packed
 from flightstack.site.file import parse_site
+from flightstack.site.filter import SiteFilter
 from flightstack.site.stopping import Prior, StoppingCertificate, stopping
-from flightstack.types import F64
+from flightstack.types import F64, Command, Learned, Measurement
 from flightstack_sim.grade import load_grade
 
 MIDDLE = np.array([1.0, -2.0, -2.5])
@@ -85,3 +86,22 @@ def test_the_next_round_dares_no_more_than_the_certificate_knows() -> None:
     assert faster.allowed_mps(3.0, 0.05 * 9.80665, prior) == pytest.approx(3.0 * math.sqrt(2.0))
     assert not faster.is_worth(4.24, 4.0)
     assert faster.is_worth(4.5, 4.0)
+
+
+def test_nothing_is_certain_on_the_ground_where_no_way_out_was_clear(made: StoppingCertificate) -> None:
+    """Flown 20 m out of the site in OFFBOARD, then down: it is set down, and not taken for flown within the site."""
+    believed, _ = files.load_vehicle(None)
+    model, still = Model.from_vehicle(believed), np.zeros(3)
+    square = parse_site('schema = "flightstack.site/1"\ninside = [[-5, -5], [5, -5], [5, 5], [-5, 5]]\n', "box.toml")
+    kept = SiteFilter(model, Limits(), made, square, np.zeros((1, 2)), 1.6)
+    state, command, row = kept.init(still), Command(0, model.weight_n, model.hover_norm, still), np.zeros(20)
+    row[0], row[6], row[15] = 20.0, 1.0, -9.8
+    for k, height in enumerate([0.3] * 5 + [0.02] * 5):
+        row[2] = -height
+        t_us = 4000 * (k + 1)
+        wanted = Command(t_us, model.weight_n, model.hover_norm, still)
+        state, command, filtered = kept.step(
+            state, Measurement(t_us, row.copy(), 4000, 4000, 4000), wanted, command, Learned.nothing()
+        )
+        assert filtered.status == decide.WAITING, height
+    assert command.thrust_n < 0.8 * model.weight_n
