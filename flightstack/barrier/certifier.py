@@ -40,6 +40,7 @@ from flightstack.barrier.queries import Envelope
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Response, area_of
 from flightstack.barrier.search import Axis, Ratios, Worth, ellipse, largest_steps
 from flightstack.barrier.shapes import value
+from flightstack.barrier.sizes import SmoothSizes
 from flightstack.barrier.torque import within
 from flightstack.barrier.turning import stays_within, turning
 from flightstack.learning.learner import LearnerState, Learnt
@@ -372,6 +373,7 @@ def compile_all() -> None:
         pass
     value(ellipse(axis, Ratios(0.3, 1.0)), 0.0, 0.0)
     stays_within(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(4), 0.0, 0.0)
+    SmoothSizes(np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), 1.0, np.zeros(1), 1.0).log_likelihood(1.0, 1.0, 0.0)
     prepare()
 
 

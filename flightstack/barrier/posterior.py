@@ -25,6 +25,7 @@ in for it, which says nothing where nothing was flown.  A certificate asks the p
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -36,8 +37,9 @@ from scipy.linalg import lapack
 from flightstack.barrier.confidence import ALLOWANCE, Colour, colour
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.query_inputs import inputs, turns
-from flightstack.barrier.sizes import SmoothSizes
+from flightstack.barrier.sizes import SHARES, SmoothSizes
 from flightstack.gp import Kernel, Matern, SquaredExponential, program
+from flightstack.gp.gram import lower_triangle, parts
 from flightstack.gp.kernels import Product, Sum
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.learning.sampler import AXIS_E, AXIS_N, GROUND, THRUST, D
@@ -45,7 +47,6 @@ from flightstack.learning.store import INFLATION, Evidence, Store
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
-_SIZES = 6
 _LIKELY = 1.92
 """Of the log likelihood: half the 95 % quantile of chi squared with one degree of freedom."""
 _NEGLIGIBLE = 1e-18
@@ -128,8 +129,8 @@ class Process:
 
     @property
     def correlations(self) -> F64:
-        """(N, N) the drift's, of a variance of one."""
-        return np.asfortranarray(self.drift._replace(variance=1.0).between(self.spans_us[:, 1], self.spans_us[:, 1]))
+        """(N, N) the drift's, of a variance of one, column by column."""
+        return self.drift._replace(variance=1.0).between(self.spans_us[:, 1], self.spans_us[:, 1]).T
 
     @property
     def bytes(self) -> bytes:
@@ -143,22 +144,27 @@ class Posterior:
     __slots__ = ("_factor", "_gram", "_program", "_together", "_weights", "process")
 
     def __init__(self, process: Process, gram: F64 | None = None, together: F64 | None = None) -> None:
-        """`gram` (N, N): the kernel of the points, `together` (N, N): the drift's correlations, where known already."""
+        """`gram` (N, N): the kernel of the points, `together` (N, N): correlations of drift; both as in `gp.gram`."""
         self.process, self._program = process, process.kernel.program(process.x.shape[1])
-        gram = np.asfortranarray(process.kernel.matrix(process.x) if gram is None else gram)  # as LAPACK takes it
-        noisy = gram.copy(order="K")
-        if process.drift.variance > 0.0:
-            together = process.correlations if together is None else together
-            noisy = np.multiply(together, process.drift.variance, noisy)
-            noisy += gram
-        self._gram, self._together = gram, together
-        diagonal = noisy.ravel(order="K")[:: len(noisy) + 1]
-        diagonal[:] = np.diagonal(gram) + process.noise_var + process.drift.variance
-        self._factor, failed = lapack.dpotrf(noisy, lower=1)
+        self._gram = lower_triangle(process.kernel, process.x) if gram is None else gram
+        self._together = together
+        self._factor, failed = lapack.dpotrf(self._noisy(0.0), lower=1, clean=0, overwrite_a=1)
         if failed:  # points that coincide to the last digit: a little more noise
-            diagonal += 1e-9 * float(np.trace(noisy))
-            self._factor, _ = lapack.dpotrf(noisy, lower=1)
+            size = float(np.trace(self._gram)) + len(self._gram) * (process.noise_var + process.drift.variance)
+            self._factor, _ = lapack.dpotrf(self._noisy(1e-9 * size), lower=1, clean=0, overwrite_a=1)
         self._weights = lapack.dpotrs(self._factor, process.y, lower=1)[0]
+
+    def _noisy(self, more: float) -> F64:
+        """(N, N) covariance of the values, of variances so much larger."""
+        drift, noisy = self.process.drift, self._gram.copy(order="K")
+        if drift.variance > 0.0:
+            if self._together is None:
+                self._together = self.process.correlations
+            noisy = np.multiply(self._together, drift.variance, noisy)
+            noisy += self._gram
+        diagonal = noisy.ravel(order="K")[:: len(noisy) + 1]
+        diagonal[:] = np.diagonal(self._gram) + self.process.noise_var + drift.variance + more
+        return noisy
 
     @property
     def log_likelihood(self) -> float:
@@ -251,47 +257,37 @@ def sized_steps(process: Process) -> Iterator[Posterior | None]:
     Sizes are tried from the prior's down, each with every noise, the likeliest of which counts; all of it without and
     with a force up or down, and with one if the likeliest of all has it.  See `knowledge`.
     """
-    prior = process.kernel.matrix(process.x)
-    smooth = prior - _scaled(process.kernel, _NEGLIGIBLE).matrix(process.x)
-    tried: dict[tuple[bool, float], tuple[float, Process]] = {}
-    for force in dict.fromkeys((None, process.force)):
-        one = process if force is None else replace(process, kernel=process.kernel + force)
-        gram = prior if force is None else one.kernel.matrix(process.x)
-        for share, done in _sizes_steps(one, gram, smooth):
-            if done is not None:
-                tried[force is not None, share] = done
-            yield None
-    likeliest = max(tried, key=lambda key: tried[key][0])
-    least = tried[likeliest][0] - _LIKELY
-    share = max(s for (forced, s), (found, _) in tried.items() if forced == likeliest[0] and found >= least)
-    _, sized = tried[likeliest[0], share]
-    beyond = INFLATION**2 * sized.drift.variance
-    yield Posterior(replace(sized, excess=np.maximum(sized.excess, beyond)))
-
-
-def _sizes_steps(process: Process, gram: F64, smooth: F64) -> Iterator[tuple[float, tuple[float, Process] | None]]:
-    """Each share of the smooth part, with its likeliness and the likeliest noise after the last piece of its work.
-
-    `gram` (N, N): the kernel of the points, `smooth` (N, N): that of its smooth part.
-    """
-    whole, dated = np.asfortranarray(gram), len(process.spans_us) > 0
+    dated, force = len(process.spans_us) > 0, process.force
     times_s = np.asarray(1e-6 * process.spans_us[:, 1] if dated else np.zeros(len(process.x)), np.float64)
-    sizes = SmoothSizes(whole - smooth, smooth, process.y, process.noise_var, times_s, _DRIFT_S)
+    known = parts(process.kernel, process.x)
+    sizes = SmoothSizes(
+        known.root, known.smooth, process.y, process.noise_var, times_s, _DRIFT_S,
+        None if force is None else parts(force, process.x).root,
+    )  # fmt: skip
     together = process.correlations if dated and not sizes.worth_it else None
-    for share in (4.0**-i for i in range(_SIZES)):
-        tried: list[tuple[float, float, float]] = []
+    tried: dict[tuple[bool, float], tuple[float, float, float]] = {}
+    forces = (process,) if force is None else (process, replace(process, kernel=process.kernel + force))
+    for forced, share in itertools.product(range(len(forces)), SHARES):
+        found, gram = list[tuple[float, float, float]](), None
         for white, drift in _NOISES if dated else _NOISES[:1]:
             noise_var = white * process.noise_var
             drift_var = drift * noise_var
             if sizes.worth_it:
-                found = sizes.log_likelihood(share, noise_var, drift_var)
+                likely = sizes.log_likelihood(share, noise_var, drift_var, bool(forced))
             else:
-                one = _sized(process, share, noise_var, drift_var)
-                found = Posterior(one, smooth * (share - 1.0) + whole, together).log_likelihood
-            tried.append((found, noise_var, drift_var))
-            yield share, None
-        found, *noise = max(tried, key=lambda each: each[0])
-        yield share, (found, _sized(process, share, *noise))
+                trial = _sized(forces[forced], share, noise_var, drift_var)
+                gram = lower_triangle(trial.kernel, trial.x) if gram is None else gram
+                likely = Posterior(trial, gram, together).log_likelihood
+            found.append((likely, noise_var, drift_var))
+            yield None
+        tried[bool(forced), share] = max(found, key=lambda each: each[0])
+        yield None
+    likeliest = max(tried, key=lambda key: tried[key][0])
+    least = tried[likeliest][0] - _LIKELY
+    share = max(s for (forced, s), (likely, *_) in tried.items() if forced == likeliest[0] and likely >= least)
+    sized = _sized(forces[likeliest[0]], share, *tried[likeliest[0], share][1:])
+    beyond = INFLATION**2 * sized.drift.variance
+    yield Posterior(replace(sized, excess=np.maximum(sized.excess, beyond)))
 
 
 def _sized(process: Process, share: float, noise_var: float, drift_var: float) -> Process:

@@ -1,14 +1,17 @@
 """How likely the points of a process are with its smooth part as a share of the prior's, and with this or that noise.
 
-Their covariance is named + share smooth + white I + drift exp(-|t_i - t_j| / time): the same four matrices for every
-share and every noise, so little has to be factorised anew for each.
+Their covariance is named + share smooth + white I + drift exp(-|t_i - t_j| / time), and a force's beside it where there
+may be one: the same matrices for every share and every noise, so little has to be factorised anew for each.
 
-    smooth, named   L L', by columns in the order of what they explain (Cholesky's with pivots).  A smooth function of
+    smooth          L L', by columns in the order of what they explain (Cholesky's with pivots).  A smooth function of
                     a path needs far fewer of them than there are points: as many as leave `_LEFT` of the noise, as the
                     trace of what is left; the smaller the share, the fewer
+    named, force    a column each term
     noise           drift is first-order Gauss-Markov: R^-1/2 of any column is one pass of a Kalman filter in the order
                     of time (Rasmussen and Williams, appendix B)
-    both            log det and fit of the sum, by the matrix inversion and determinant lemmas (the same, A.9 and A.10)
+    all             log det and fit of the sum, by the matrix inversion and determinant lemmas (the same, A.9 and A.10):
+                    one small Cholesky factor for each noise and share, whose last rows are the force's and the values',
+                    so that it has the likelihood without the force and with it
 
 What is left out puts the log likelihood of P outputs off by P / 2 times `_LEFT` for the determinant at most, and for
 the fit by as much times the points, if all of it lay along the residual: a hundredth of what is asked of it
@@ -22,9 +25,11 @@ import math
 import numpy as np
 from scipy.linalg import blas, lapack
 
+from flightstack.gp.program import I64
 from flightstack.jit import njit_called
 from flightstack.types import F64
 
+SHARES = tuple(4.0**-i for i in range(6))
 _LEFT = 1e-4
 _WORTH_IT = 0.7
 """Share of the points that columns may come to: beyond it, one factorisation of all points costs no more."""
@@ -33,42 +38,35 @@ _WORTH_IT = 0.7
 class SmoothSizes:
     """One process' points; final."""
 
-    __slots__ = ("_explains", "_known", "_named", "_time_s", "_values", "columns", "worth_it")
+    __slots__ = ("_counts", "_kept", "_known", "_time_s", "columns", "worth_it")
 
-    def __init__(self, named: F64, smooth: F64, values: F64, noise_var: float, times_s: F64, time_s: float) -> None:
-        """`named`, `smooth` (N, N): the kernel's parts; `values` (N, P); `noise_var`: least white noise; `times_s` (N,)
-        over `time_s`, of drift, rising."""
-        left, size = _LEFT * noise_var, len(values)
-        named_root, _ = _root(named, left)
-        smooth_root, explains = _root(smooth, left)
-        self._explains = np.maximum(float(np.trace(smooth)) - np.cumsum(explains), 0.0) / left
+    def __init__(
+        self, named: F64, smooth: F64, values: F64, noise_var: float, times_s: F64, time_s: float,
+        force: F64 | None = None,
+    ) -> None:  # fmt: skip
+        """`named`, `force` (N, terms): roots of the kernel's parts; `smooth` (N, N): the lower triangle of the rest;
+        `values` (N, P); `noise_var`: least white noise; `times_s` (N,) over `time_s`, of drift, rising."""
+        left, forces = _LEFT * noise_var, np.zeros((len(values), 0)) if force is None else force
+        root, explains = _root(smooth, left)
+        beyond = np.maximum(float(np.trace(smooth)) - np.cumsum(explains), 0.0) / left
         """Trace that is left after each column, in shares of what may be."""
-        self._named, self._values = named_root.shape[1], values.shape[1]
-        self.columns = np.ascontiguousarray(np.hstack([named_root, smooth_root, values]))
+        enough = [min(int(np.searchsorted(-share * beyond, -1.0)) + 1, root.shape[1]) for share in SHARES]
+        self._kept = np.array(enough, np.int64) + named.shape[1]
+        self._counts = named.shape[1], forces.shape[1], values.shape[1]
+        self.columns = np.hstack([named, root, forces, values])
         self._time_s = np.diff(times_s, prepend=times_s[:1]) / time_s
-        self._known: dict[tuple[float, float], tuple[F64, float]] = {}
-        self.worth_it = self.columns.shape[1] < _WORTH_IT * size and bool((self._time_s >= 0.0).all())
+        self._known: dict[tuple[float, float], F64] = {}
+        self.worth_it = self.columns.shape[1] < _WORTH_IT * len(values) and bool((self._time_s >= 0.0).all())
         """Whether that is quicker than to factorise all points anew each time."""
 
-    def log_likelihood(self, share: float, white: float, drift: float) -> float:
-        """As `Posterior.log_likelihood`."""
+    def log_likelihood(self, share: float, white: float, drift: float, forced: bool = False) -> float:
+        """As `Posterior.log_likelihood`, of one of the `SHARES`; all of a noise are worked out together."""
         if (white, drift) not in self._known:
             whitened = np.empty_like(self.columns)
             half_log_det = _whiten(self.columns, self._time_s, white, drift, whitened)
-            self._known[white, drift] = blas.dsyrk(1.0, whitened.T, lower=1), half_log_det
-        products, half_log_det = self._known[white, drift]
-        kept = self._named + int(np.searchsorted(-share * self._explains, -1.0)) + 1
-        kept, values = min(kept, len(products) - self._values), len(products) - self._values
-        by = np.ones(kept)
-        by[self._named :] = math.sqrt(share)
-        inner = np.asfortranarray(products[:kept, :kept] * by[:, None])
-        inner *= by
-        inner.ravel(order="K")[:: kept + 1] += 1.0
-        factor, _ = lapack.dpotrf(inner, lower=1, overwrite_a=1, clean=0)
-        explained, _ = lapack.dtrtrs(factor, (products[values:, :kept] * by).T, lower=1)
-        fit = float(np.trace(products[values:, values:])) - float(np.einsum("ij,ij->", explained, explained))
-        size = half_log_det + float(np.log(np.diagonal(factor)).sum())
-        return -0.5 * fit - float(self._values) * size
+            products = blas.dsyrk(1.0, whitened.T, lower=1).T
+            self._known[white, drift] = _likelihoods(products, self._kept, np.array(SHARES), self._counts, half_log_det)
+        return float(self._known[white, drift][int(forced), SHARES.index(share)])
 
 
 def _root(matrix: F64, left: float) -> tuple[F64, F64]:
@@ -100,3 +98,36 @@ def _whiten(columns: F64, steps: F64, white: float, drift: float, out: F64) -> f
             mean[j] = ahead + gain * more
         variance *= 1.0 - gain
     return half_log_det
+
+
+@njit_called
+def _likelihoods(products: F64, kept: I64, shares: F64, counts: tuple[int, int, int], half_log_det: float) -> F64:
+    """(2, shares) without the force and with it.
+
+    `products` (m, m): of the whitened columns, the upper triangle; `kept`: how many of them a share takes of those
+    before the force's; `counts`: of the named ones, the force's and the values.
+    """
+    named, forces, values = counts
+    found, m = np.empty((2, len(shares))), len(products)
+    for s in range(len(shares)):
+        count = kept[s]
+        size, by = count + forces, math.sqrt(shares[s])
+        inner = np.zeros((size + values, size + values))
+        for i in range(size + values):
+            row = i if i < count else i + m - size - values
+            for j in range(i + 1):
+                column = j if j < count else j + m - size - values
+                scale = (by if named <= i < count else 1.0) * (by if named <= j < count else 1.0)
+                inner[i, j] = scale * products[column, row]
+            inner[i, i] = inner[i, i] + 1.0  # of the values' own corner nothing is used: it only has to be large enough
+        factor, fit = np.linalg.cholesky(inner), 0.0
+        for i in range(m - values, m):
+            fit += products[i, i]
+        size_log = half_log_det
+        for forced in range(2):
+            for j in range(count if forced else 0, size if forced else count):
+                size_log += math.log(factor[j, j])
+                for i in range(size, size + values):
+                    fit -= factor[i, j] ** 2
+            found[forced, s] = -0.5 * fit - values * size_log
+    return found

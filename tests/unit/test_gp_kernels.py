@@ -23,6 +23,7 @@ from flightstack.gp import (
     kernel_from_dict,
     program,
 )
+from flightstack.gp.gram import lower_triangle, parts
 from flightstack.types import F64, InputError
 
 X = np.random.default_rng(1).normal(size=(30, 4))
@@ -68,6 +69,25 @@ def test_covariances_are_those_of_scikit_learn(kernel: Kernel, oracle: Callable[
     np.testing.assert_allclose(kernel.matrix(X, Y), oracle(X, Y), rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(kernel.matrix(X), oracle(X, X), rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(kernel.diagonal(X), np.diag(oracle(X, X)), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("kernel", "oracle"), ORACLES)
+def test_triangles_and_parts_are_of_the_same_covariances(kernel: Kernel, oracle: Callable[[F64, F64], F64]) -> None:
+    for x in (X, X[:1], np.tile(X, (3, 1))):
+        triangle = lower_triangle(kernel, x)
+        assert triangle.flags.f_contiguous
+        np.testing.assert_array_equal(triangle, np.tril(kernel.matrix(x)))  # to the last bit
+        root, smooth = parts(kernel, x)
+        np.testing.assert_allclose(np.tril(root @ root.T) + smooth, np.tril(oracle(x, x)), rtol=1e-12, atol=1e-15)
+
+
+def test_a_kernels_part_of_rank_one_is_what_has_no_stationary_leaf() -> None:
+    named, smooth = Constant(2.0) + Linear(3.0, 1) * Linear(0.5, 2), Linear(0.7, 0) * SquaredExponential(0.5, 1.0)
+    found = parts(named + smooth, X)
+    np.testing.assert_allclose(found.root, np.stack([0.0 * X[:, 0] + 2.0**0.5, 1.5**0.5 * X[:, 1] * X[:, 2]], axis=1))
+    np.testing.assert_array_equal(found.smooth, np.tril(smooth.matrix(X)))
+    assert parts(smooth, X).root.shape == (len(X), 0)
+    assert not parts(named, X).smooth.any()
 
 
 @pytest.mark.parametrize(("kernel", "oracle"), ORACLES)
