@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
 from flightstack.autopilot import autopilot_of
@@ -69,6 +70,8 @@ class FlyOptions(FlightOptions):
     """Of `--px4-hil`."""
     log_kept: bool = True
     """Not: nothing is written, and `log` in the result is null.  Of flights by the thousand."""
+    beside: bool = True
+    """Whether certificates are made in a process of their own; not where others fly on the other cores."""
 
     @property
     def in_real_time(self) -> bool:
@@ -306,7 +309,7 @@ def fly_setup(
         setup = replace(setup, flight=setup.flight.with_more({"planner": type(planner).__name__}))
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
     log_path = options.log or out / "flight.mcap"
-    with setup.flight.protection.beside():
+    with setup.flight.protection.beside() if options.beside or options.realtime else nullcontext():
         result = _flown(setup, replace(options, log=log_path), planner, stop_requested, on_progress, at_end)
     if report_wanted(result):
         files.write_flight_report(log_path, out / "report.html", result)

@@ -6,8 +6,8 @@
 --certificate     the filter under the certificate of a file, whatever the scenario
 otherwise         where the scenario has a region: certified in flight, once enough has been learned; no filter where it
                   has none or where the learner can't certify.  Of an ellipsoid, the paper's experiment up and down, the
-                  vertical axis alone, in a region that grows.  In real time the certifier works in a process of its
-                  own (`workshop`)
+                  vertical axis alone, in a region that grows.  The certifier works in a process of its own where it
+                  may (`workshop`)
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from flightstack.barrier.certifier import OnlineCertifier
-from flightstack.barrier.certifier_config import CertifierConfig, Thrust
+from flightstack.barrier.certifier_config import CertifierConfig, Elsewhere, Thrust
 from flightstack.barrier.estimate_bounds import EstimateBounds, does_not_fit, estimate_bounds
 from flightstack.barrier.flown import planned_of
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier, vertical_for
@@ -32,7 +32,7 @@ from flightstack.cli.checking import read_bounded
 from flightstack.cli.given_certificate import certificate_for, require_checked, require_premises, round_trip_max_s
 from flightstack.cli.sensors import error_statistics
 from flightstack.cli.site import SitePlan, given_prior, load_site, plan_site
-from flightstack.cli.workshop import Workshop
+from flightstack.cli.workshop import Appointed, Workshop
 from flightstack.learning.stored import vehicle_hash
 from flightstack.model import Limits, Model
 from flightstack.region import Region
@@ -92,7 +92,7 @@ class Protection:
     """Where that came from."""
     given: Certificate | None = None
     """The same, where there is a filter that keeps to it."""
-    workshop: Workshop | None = None
+    workshop: Workshop | Appointed | None = None
     """Where certificates are made, if not in the ticks."""
     estimate: EstimateBounds | None = None
     """How far the estimate may be off for what is certified; None where nothing is."""
@@ -159,14 +159,15 @@ def protect(
     region = scenario.region if given is None else None
     if not options.filtering and given is None:
         return Protection(_NO_FILTER, region=region)
-    workshop: Workshop | None = None
+    workshop: Workshop | Appointed | None = None
     if given is not None:
         certifier: Certifier | str = GivenCertificate(given, model)
     elif options.in_real_time and options.as_published and region is not None:
         certifier = "what the paper publishes is certified within a tick, for which real time does not wait"
     else:
         why_not = _not_online(mode, scenario, learner, sensors)
-        workshop = Workshop() if options.in_real_time and not why_not else None
+        if not why_not and mode == SOUND:
+            workshop = Workshop() if options.in_real_time else Appointed()
         certifier = why_not or _online(mode, scenario, believed, model, sensors, workshop)
     if isinstance(certifier, str):
         return Protection(f"off: {certifier}", asked=region is not None and learner != NONE, region=region)
@@ -235,7 +236,7 @@ def _not_online(mode: str, scenario: Scenario, learner: str, sensors: str) -> st
 
 
 def _online(
-    mode: str, scenario: Scenario, believed: Vehicle, model: Model, sensors: str, elsewhere: Workshop | None
+    mode: str, scenario: Scenario, believed: Vehicle, model: Model, sensors: str, elsewhere: Elsewhere | None
 ) -> Certifier:
     """What certifies in flight."""
     region, limits = scenario.region, scenario.limits

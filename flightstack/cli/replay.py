@@ -25,7 +25,7 @@ from flightstack.cli.preparation import Prepared, prepare_flight
 from flightstack.cli.recorded_inputs import recorded_inputs
 from flightstack.cli.recorder import LogObserver
 from flightstack.cli.replayed import DIGEST, Replayed, differences_of
-from flightstack.cli.workshop import Served
+from flightstack.cli.workshop import Served, Workshop
 from flightstack.types import InputError, TickRecord
 from flightstack_logs.log_clock import LogClock
 from flightstack_logs.reader import read
@@ -149,7 +149,7 @@ def _of_offboard(log: Log, settings: Mapping[str, str], folder: Path) -> _Flight
 def _answer_as(log: Log, prepared: Prepared) -> None:
     """Certificates that were made beside the flight come when they came; InputError where that is not in the log."""
     workshop, table = prepared.protection.workshop, log.tables.get("/certifier")
-    if workshop is None:
+    if not isinstance(workshop, Workshop):
         return
     if table is None and any(text.startswith("filter: certificate ") for text in _texts(log)):
         raise InputError(f"log {log.path}: does not say when its certificates were ready; it is of another version")

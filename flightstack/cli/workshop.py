@@ -1,39 +1,36 @@
-"""Certificates made in a process of their own: a flight in real time can't wait for them, and needn't.
+"""Who makes certificates beside a flight, in a process of its own (`certifier_process`).
 
-A tick hands over what has been learned (a copy) and from then on asks whether the certificate is there; neither ever
-blocks: what the socket does not take at once goes with the next tick.  A process that ends or goes wrong takes nothing
-with it: the certificate in force stays in force and is watched as before, nothing new is certified, and `lost` says
-why.
+In real time (`Workshop`) a tick hands over what has been learned (a copy) and from then on asks whether the certificate
+is there; neither ever blocks.  Where the process is lost the certificate in force stays in force and is watched as
+before, nothing new is certified, and `lost` says why.
+
+In lockstep (`Appointed`) each certificate comes a fixed number of ticks after it was asked for, and there the flight
+waits for it.  Without a process, or where that is lost, it is made in that tick, with the same bytes: what is flown
+does not depend on the machine.
 """
 
 from __future__ import annotations
 
-import pickle
-import signal
-import socket
-import struct
+import os
+import sys
+import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
-from multiprocessing import get_context
+from multiprocessing import current_process
 from typing import NamedTuple
 
-from threadpoolctl import threadpool_limits
-
-from flightstack.barrier.certifier import OnlineCertifier, compile_all
+from flightstack.barrier.certifier import OnlineCertifier
 from flightstack.barrier.certifier_config import CertifierState
 from flightstack.barrier.records import Certificate
-from flightstack.barrier.search import Ratios
+from flightstack.cli.certifier_process import CertifierProcess, Reply, made, order
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.types import Learned
-from mavlink_bridge.transport.machine import stand_back
 
-_LENGTH = struct.Struct("<Q")
-_BUFFER = 1 << 20
-"""Bytes: an order with full pools has some 300,000."""
 _NICENESS = 5
 """The flight's own process comes first; beside two programs that compute a certificate still comes soon."""
-_JOIN_S = 2.0
-_ENDED = "its process has ended"
+_URGENT_TICKS, _TICKS = 125, 250
+"""In lockstep, from the order to the certificate: with none in force or a falsified one, and otherwise."""
+_WAIT_S = 20.0
+"""For a certificate that takes 0.1 s: a process that takes longer is stuck."""
 
 
 class Served(NamedTuple):
@@ -47,21 +44,11 @@ class Served(NamedTuple):
     """Ticks from then on."""
 
 
-class _Reply(NamedTuple):
-    certificate: Certificate | None
-    ratios: dict[tuple[int, int], Ratios]
-    error: str
-
-
-class Workshop:
-    """The flight's end of that process, which runs while this is entered and ends when the flight does."""
+class Workshop(CertifierProcess):
+    """In real time; the process runs while this is entered and ends when the flight does."""
 
     def __init__(self) -> None:
-        self.lost = "not begun"
-        """Why no certificate will come any more."""
-        self._owed = False
-        """An order was placed and its reply has not come."""
-        self._out, self._in = memoryview(b""), bytearray()
+        super().__init__()
         self._served: list[Served] = []
         self._calls = 0
         self._recorded: dict[int, Served] | None = None
@@ -81,36 +68,11 @@ class Workshop:
         self.lost, self._recorded = "", {each.call: each for each in served}
 
     def __enter__(self) -> Workshop:
-        self._socket, theirs = socket.socketpair()
-        for end in (self._socket, theirs):
-            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
-        self._socket.setblocking(False)
-        self.lost = ""
-        with theirs:
-            self._process = get_context("spawn").Process(target=serve, args=(theirs,), name="certifier", daemon=True)
-            try:
-                self._process.start()
-            except OSError as error:  # no memory, no process number: the flight can do without
-                self._lose(f"its process could not be started: {error}")
+        self.begin("spawn", _NICENESS)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._lose("ended")
-        if self._process.pid is None:
-            return
-        self._process.join(_JOIN_S)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-
-    @property
-    def pid(self) -> int | None:
-        """Of the process."""
-        return self._process.pid
-
-    def fileno(self) -> int:
-        """Of the socket, for whoever has the time to wait for it."""
-        return self._socket.fileno()
+        self.end()
 
     def work(
         self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
@@ -121,8 +83,8 @@ class Workshop:
         while self._is_busy(call, before):  # with an order that nobody waits for any more
             before += 1
             yield None
-        self._order(certifier, learner, learned, state)
-        while (reply := self._reply(call, after)) is None:
+        message = self._ordered(certifier, learner, learned, state)
+        while (reply := self._reply(call, after, message)) is None:
             after += 1
             yield None
         self._served.append(Served(call, before, after))
@@ -133,103 +95,82 @@ class Workshop:
     def _is_busy(self, call: int, ticks: int) -> bool:
         if self._recorded is not None:
             return call in self._recorded and ticks < self._recorded[call].before
-        return self._owed and not self.lost and self._exchange() is None
+        return self.owed and not self.lost and self._sound() is None
 
-    def _reply(self, call: int, ticks: int) -> _Reply | None:
+    def _reply(self, call: int, ticks: int, message: bytes) -> Reply | None:
         """What came for the order, once it came; recorded: never for a call that was given up."""
         if self._recorded is None:
-            return self._exchange()
+            return self._sound()
         then = self._recorded.get(call)
-        return None if then is None or ticks < then.after else _made(bytes(self._out[_LENGTH.size :]))
+        return None if then is None or ticks < then.after else made(message)
 
-    def _order(
+    def _sound(self) -> Reply | None:
+        """What came, if it is no error: such a process is asked for nothing more."""
+        reply = self.exchange()
+        if reply is None or not reply.error:
+            return reply
+        self.lose(reply.error)
+        return None
+
+    def _ordered(
         self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
-    ) -> None:
-        asked = CertifierState(version=state.version, widen_mps2=state.widen_mps2, ratios=state.ratios, turn=state.turn)
-        asked.flown, asked.origin_ned_m = state.flown, state.origin_ned_m
+    ) -> bytes:
         try:
-            what = (certifier.here(), learner.evidence(), learned, asked)
-            message = pickle.dumps(what, pickle.HIGHEST_PROTOCOL)
+            message = order(certifier, learner, learned, state)
         except Exception as error:  # in flight nothing raises
-            self._lose(f"{type(error).__name__}: {error}")
-            return
-        self._out, self._owed = memoryview(_LENGTH.pack(len(message)) + message), True
-
-    def _exchange(self) -> _Reply | None:
-        """Send and receive what goes without waiting; the reply if it is whole."""
-        if self.lost:
-            return None
-        try:
-            with suppress(BlockingIOError):
-                while self._out:
-                    self._out = self._out[self._socket.send(self._out) :]
-            with suppress(BlockingIOError):
-                while data := self._socket.recv(_BUFFER):
-                    self._in += data
-                self._lose(_ENDED)
-                return None
-            return self._received()
-        except OSError:
-            self._lose(_ENDED)
-            return None
-        except Exception as error:  # in flight nothing raises
-            self._lose(f"{type(error).__name__}: {error}")
-            return None
-
-    def _received(self) -> _Reply | None:
-        if len(self._in) < _LENGTH.size:
-            return None
-        (size,) = _LENGTH.unpack_from(self._in)
-        if len(self._in) < _LENGTH.size + size:
-            return None
-        reply: _Reply = pickle.loads(self._in[_LENGTH.size : _LENGTH.size + size])
-        del self._in[: _LENGTH.size + size]
-        self._owed = False
-        if reply.error:
-            self._lose(reply.error)
-            return None
-        return reply
-
-    def _lose(self, why: str) -> None:
-        if not self.lost:
-            self.lost = why
-            self._socket.close()
+            self.lose(f"{type(error).__name__}: {error}")
+            return b""
+        self.place(message)
+        return message
 
 
-def serve(end: socket.socket) -> None:
-    """The process: one certificate after the other until the flight's end of the socket is closed."""
-    for word in (signal.SIGINT, signal.SIGTERM):  # the flight's business: it lands, and then closes the socket
-        signal.signal(word, signal.SIG_IGN)
-    stand_back(_NICENESS)
-    compile_all()
-    with threadpool_limits(1, "blas"), end, suppress(OSError):
-        while (message := _read(end)) is not None:
-            answer = pickle.dumps(_made(message), pickle.HIGHEST_PROTOCOL)
-            end.sendall(_LENGTH.pack(len(answer)) + answer)
+class Appointed:
+    """In lockstep; while this is entered a process does the work, where there is a second core for one."""
+
+    def __init__(self) -> None:
+        self.lost = ""
+        """Why no certificate will come any more: never for want of a process."""
+        self.served: Sequence[Served] = ()
+        """Nothing that a replay could not work out."""
+        self.process = CertifierProcess()
+
+    def count_anew(self) -> None:
+        """Nothing is numbered."""
+
+    def __enter__(self) -> Appointed:
+        if _may_fork():
+            self.process.begin("fork", 0)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.lost != "not begun":
+            self.process.end()
+
+    def work(
+        self, certifier: OnlineCertifier, learner: LearnerState | Learnt, learned: Learned, state: CertifierState
+    ) -> Iterator[Certificate | None]:
+        """As `OnlineCertifier.work`, of what the learner knows now: None until the appointed tick."""
+        urgent, process, placed = state.certificate is None or state.falsified, self.process, False
+        message = order(certifier, learner, learned, state)
+        for _ in range(_URGENT_TICKS if urgent else _TICKS):
+            if placed:
+                process.push()
+            elif not process.owed or process.exchange() is not None:  # of an order that nobody waits for any more
+                process.place(message)
+                process.push()
+                placed = True
+            yield None
+        reply = (process.waited(_WAIT_S) if placed else None) or made(message)
+        self.lost = self.lost or reply.error
+        state.ratios.clear()
+        state.ratios.update(reply.ratios)
+        yield None if self.lost else reply.certificate
+        while True:
+            yield None
 
 
-def _made(message: bytes) -> _Reply:
-    try:
-        certifier, learner, learned, state = pickle.loads(message)
-        ready = None
-        for piece in certifier.work(learner, learned, state):
-            ready = piece
-        return _Reply(ready, state.ratios, "")
-    except Exception as error:  # whatever it is, the flight goes on and its log says so
-        return _Reply(None, {}, f"{type(error).__name__}: {error}")
-
-
-def _read(end: socket.socket) -> bytes | None:
-    """The next message; None where there is no more."""
-    head = _exactly(end, _LENGTH.size)
-    return None if head is None else _exactly(end, _LENGTH.unpack(head)[0])
-
-
-def _exactly(end: socket.socket, size: int) -> bytes | None:
-    parts = bytearray()
-    while len(parts) < size:
-        data = end.recv(min(size - len(parts), _BUFFER))
-        if not data:
-            return None
-        parts += data
-    return bytes(parts)
+def _may_fork() -> bool:
+    """Whether a fork is allowed for (of one thread) and pays (on two cores)."""
+    if sys.platform != "linux" or threading.active_count() > 1 or current_process().daemon:
+        return False
+    return len(os.sched_getaffinity(0)) > 1

@@ -1,15 +1,17 @@
 """What the machine is asked for so that a loop keeps its time: priority, and memory that stays where it is.
 
-Imported by the dead-man's process too, so at the top it needs nothing but `os`.
+Imported by the dead-man's process too, so at the top it needs nothing but `os` and `signal`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import signal
 from collections.abc import Iterator
 
 _NICENESS = -15
+_PR_SET_PDEATHSIG = 1
 _FIFO_PRIORITY = 10
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4
@@ -61,6 +63,16 @@ def take_short_turns() -> bool:
         return bool(ctypes.CDLL(None).syscall(number, 0, asked, 0) == 0)
     except (ImportError, OSError, AttributeError):
         return False
+
+
+def die_with_parent(parent: int) -> None:
+    """Linux kills this process, a fork, when its parent ends; elsewhere it must see that its socket is closed."""
+    with contextlib.suppress(ImportError, OSError, AttributeError):
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 import math
@@ -9,6 +10,7 @@ import os
 import select
 import signal
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate, area_of
 from flightstack.barrier.shapes import value
 from flightstack.barrier.torque import governor_terms
-from flightstack.cli.workshop import Workshop
+from flightstack.cli.workshop import Appointed, Workshop
 from flightstack.frames import quat_from_euler
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
@@ -285,3 +287,48 @@ def test_an_ellipsoids_safe_sets_lie_in_it_together() -> None:
         pos = np.array([sets[i].limit_m * np.cos(angle[i]) for i in range(3)])
         vel = np.array([(sets[i].limit_mps or 0.0) * np.sin(angle[i]) for i in range(3)])
         assert region.value(pos + np.array([0.0, 0.0, -0.8]), vel) >= -1e-12
+
+
+# ---------------------------------------------------------------- at a tick that is appointed
+
+
+@pytest.mark.parametrize("beside", [True, False])
+@pytest.mark.parametrize(("in_force", "falsified", "ticks"), [(False, "", 125), (True, "", 250), (True, "why", 125)])
+def test_in_lockstep_the_very_same_certificate_comes_at_its_appointed_tick_whoever_made_it(
+    calm: tuple[ClosedLoopFlight, Kept], beside: bool, in_force: bool, falsified: str, ticks: int
+) -> None:
+    """And not one that was given up before it: what is learned after the order counts for neither."""
+    _, kept = calm
+    _, (learner, _, learned, _) = kept.last
+    asked: tuple[Any, ...] = (kept.here(), learner.evidence(), learned)  # type: ignore[attr-defined]
+    here, there = CertifierState(version=4), CertifierState(version=4, falsified=falsified)
+    there.certificate = kept.issued[-1][1] if in_force else None
+    expected = list(OnlineCertifier.work(*asked, here))[-1]
+    assert expected is not None
+    appointed = Appointed()
+    with appointed if beside else contextlib.nullcontext():
+        assert (appointed.process.lost == "") == beside
+        assert next(appointed.work(*asked, CertifierState(version=8))) is None
+        while beside and not select.select([appointed.process], [], [], 0.1)[0]:
+            appointed.process.push()
+        came = list(itertools.islice(appointed.work(*asked, there), ticks + 2))
+    assert [i for i, each in enumerate(came) if each is not None] == [ticks]
+    assert certificate_to_json(came[ticks]) == certificate_to_json(expected)  # type: ignore[arg-type]
+    assert there.ratios == here.ratios != {}
+    assert appointed.lost == ""
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_in_lockstep_a_certifier_at_fault_is_lost_at_the_appointed_tick(
+    calm: tuple[ClosedLoopFlight, Kept], beside: bool
+) -> None:
+    _, kept = calm
+    _, (learner, _, _, _) = kept.last
+    appointed = Appointed()
+    with appointed if beside else contextlib.nullcontext():
+        work = appointed.work(kept, learner, None, CertifierState())  # type: ignore[arg-type]
+        assert [next(work) for _ in range(125)] == [None] * 125
+        assert appointed.lost == ""
+        assert next(work) is None
+    assert "AttributeError" in appointed.lost
+    assert next(work) is None

@@ -24,6 +24,7 @@ from flightstack.cli.files import TextFile
 from flightstack.cli.flight import FlyOptions
 from flightstack.cli.offboard import OffboardOptions
 from flightstack.cli.preparation import Prepared, prepare_flight
+from flightstack.cli.workshop import Appointed
 from flightstack.learning.stored import vehicle_hash
 from flightstack.safety_filter import BarrierFilter
 from flightstack.types import InputError
@@ -93,7 +94,10 @@ def test_in_real_time_certificates_are_made_beside_the_flight(tmp_path: Path) ->
         assert flight.protection.workshop is not None
         assert flight.protection.watched is not None
         assert flight.protection.watched.elsewhere is flight.protection.workshop
-    assert prepared().protection.workshop is None
+    lockstep = prepared().protection
+    assert isinstance(lockstep.workshop, Appointed)
+    assert lockstep.watched is not None
+    assert lockstep.watched.elsewhere is lockstep.workshop
     given = prepared(realtime=True, certificate=file_of(tmp_path))
     assert given.stack.filter.enabled
     assert given.protection.workshop is None

@@ -9,7 +9,6 @@ workers with it.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import select
 import signal
@@ -19,17 +18,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from flightstack.cli.campaign.wire import Lines
+from mavlink_bridge.transport.machine import die_with_parent
 
-_PR_SET_PDEATHSIG = 1
 _TICK_S = 0.1
-
-
-def die_with_parent(parent: int) -> None:
-    """Linux kills this process when its parent ends; elsewhere a worker sees that its socket is closed."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
 
 
 def warm() -> None:

@@ -57,7 +57,9 @@ def _row(text: str, folder: Path, keep: str, kept: bool, on_progress: Callable[[
         else:
             scenario = folder / "scenario.toml"
             scenario.write_text(text, encoding="utf-8")
-            options = flight.FlyOptions(scenario=str(scenario), out=folder, log_kept=keep != "none" or kept)
+            options = flight.FlyOptions(
+                scenario=str(scenario), out=folder, log_kept=keep != "none" or kept, beside=False
+            )
             row |= _flown(options, folder, keep, kept, on_progress)
     except InputError as error:
         row["reason"] = " ".join(str(error).replace(str(folder / "scenario.toml"), "scenario").split())
