@@ -15,7 +15,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from multiprocessing import current_process
+from multiprocessing import parent_process
 from typing import NamedTuple
 
 from flightstack.barrier.certifier import OnlineCertifier
@@ -170,7 +170,7 @@ class Appointed:
 
 
 def _may_fork() -> bool:
-    """Whether a fork is allowed for (of one thread) and pays (on two cores)."""
-    if sys.platform != "linux" or threading.active_count() > 1 or current_process().daemon:
+    """Whether a fork is allowed for (of one thread) and pays: on two cores that no pool of processes flies on."""
+    if sys.platform != "linux" or threading.active_count() > 1 or parent_process() is not None:
         return False
     return len(os.sched_getaffinity(0)) > 1
