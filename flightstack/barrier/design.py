@@ -27,7 +27,7 @@ from flightstack.barrier.design_search import (
     climb,
     farthest,
     fit,
-    holds_on_points,
+    largest_size,
     overlap,
     speeds,
 )  # fmt: skip
@@ -158,31 +158,13 @@ def grow(
     if not safe.holds(of_size(shape, most)):
         highest = _last(lambda size: safe.holds(of_size(shape, size)), 0.0, most, 16)
     for spare in _SPARE_PS[1:]:
-        size = _largest_size(shape, of_size, highest, _with(setting, spare), table)
+        size = largest_size(shape.rows, change is at_speed, highest, _with(setting, spare), table)
         if size <= 0.0:
             break
         design = _proven(of_size(shape, size), safe, setting, table, _FEW_CELLS)
         if design.barrier is not None:
             return design
     return RegionDesign(None, None)
-
-
-def _largest_size(
-    shape: Barrier, of_size: Callable[[Barrier, float], Barrier], highest: float, asked: Setting, table: F64
-) -> float:
-    """The largest size that holds on points; 0 if none from the highest down to a fiftieth of it."""
-
-    def fits(size: float) -> bool:
-        return bool(holds_on_points(of_size(shape, size).rows, asked, table))
-
-    low = highest
-    if not low > 0.0:  # not even the smallest lies in the safe set
-        return 0.0
-    while not fits(low):
-        low *= 0.85
-        if not low > 0.02 * highest:
-            return 0.0
-    return low if low == highest else _last(fits, low, low / 0.85)
 
 
 def at_level(shape: Barrier, level: float) -> Barrier:
@@ -255,7 +237,7 @@ def _with(setting: Setting, spare_ps: float) -> Setting:
     return setting._replace(rate_ps=setting.rate_ps + spare_ps)
 
 
-def _last(holds: Callable[[float], bool], low: float, high: float, halvings: int = 7) -> float:
+def _last(holds: Callable[[float], bool], low: float, high: float, halvings: int) -> float:
     """The greatest number at which it still holds, within the range halved so often; it holds at low, not at high."""
     for _ in range(halvings):
         middle = 0.5 * (low + high)

@@ -6,6 +6,8 @@ hundred points of {h >= inner - eta}, most of them near its boundary.  Points pr
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from flightstack.barrier.condition import Reach, Setting, interval
@@ -37,6 +39,7 @@ _SPEEDS = 48
 """Speeds at which the condition is tried."""
 _ACROSS = 6
 """Steps across the region at each of them."""
+_HALVINGS = 7
 _AREA_SPEEDS = 160
 """Speeds that an area in the search is summed over; the smooth substitution makes it good to 1e-4."""
 
@@ -125,10 +128,6 @@ def holds_on_points(rows: F64, setting: Setting, reaches: F64) -> bool:
     v_low, v_high = speeds(rows, setting.inner - setting.eta)
     if not (v_low >= reaches[0, V_LOW] and v_high <= reaches[-1, V_HIGH]):
         return False
-    for i in range(_SPEEDS):
-        v = 0.5 * (v_low + v_high) - 0.5 * (v_high - v_low) * np.cos(np.pi * (i + 0.02) / (_SPEEDS - 0.96))
-        if not _holds_at(rows, v, setting, reaches):
-            return False
     for i in range(rows.shape[0]):  # where no command changes h at once: the tips of an ellipse, the ends of a way
         row = rows[i]
         if row[KIND] == 0.0:
@@ -142,7 +141,55 @@ def holds_on_points(rows: F64, setting: Setting, reaches: F64) -> bool:
                 return False
         elif not _holds_at(rows, -row[SIGN] * row[BRAKE] * row[REACTION], setting, reaches):
             return False
+    for i in range(_SPEEDS):
+        v = 0.5 * (v_low + v_high) - 0.5 * (v_high - v_low) * np.cos(np.pi * (i + 0.02) / (_SPEEDS - 0.96))
+        if not _holds_at(rows, v, setting, reaches):
+            return False
     return True
+
+
+@njit_called
+def largest_size(rows: F64, by_speed: bool, highest: float, setting: Setting, reaches: F64) -> float:
+    """The largest size (`sized`) that holds on points; 0 if none from the highest down to a fiftieth of it."""
+    low, out = highest, np.empty_like(rows)
+    if not low > 0.0:  # not even the smallest lies in the safe set
+        return 0.0
+    while not holds_on_points(sized(rows, by_speed, low, out), setting, reaches):
+        low *= 0.85
+        if not low > 0.02 * highest:
+            return 0.0
+    if low == highest:
+        return low
+    high = low / 0.85
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if holds_on_points(sized(rows, by_speed, middle, out), setting, reaches):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@njit_called
+def sized(rows: F64, by_speed: bool, size: float, out: F64) -> F64:
+    """Rows of `design.at_speed` or else `design.at_level`, to the last bit; also in `out`."""
+    root = 1.0 if by_speed else math.sqrt(size)
+    out[:] = rows
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        if row[KIND] == 0.0:
+            out[i, CENTRE_E], out[i, CENTRE_V] = root * row[CENTRE_E], (size if by_speed else root) * row[CENTRE_V]
+            out[i, P11] = row[P11] if by_speed else row[P11] / size
+            out[i, P12] = row[P12] / size
+            out[i, P22] = row[P22] / (size * size if by_speed else size)
+            out[i, K_EE], out[i, K_EV], out[i, K_VV] = 2.0 * out[i, P11], 2.0 * out[i, P12], 2.0 * out[i, P22]
+            continue
+        out[i, LIMIT] = root * row[LIMIT]
+        if by_speed:
+            out[i, REACTION], out[i, BRAKE] = row[REACTION] / size, size * size * row[BRAKE]
+        out[i, SCALE] = 0.5 * (root * rows[0, LIMIT] + root * rows[1, LIMIT])
+        out[i, K_VV] = 1.0 / (out[i, BRAKE] * out[i, SCALE])
+    return out
 
 
 @njit_called

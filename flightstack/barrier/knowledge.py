@@ -233,7 +233,7 @@ def _hull_steps(request: Request, axis: int, steering: Steering | None) -> Itera
     learned = np.zeros((3, len(near)))
     size = len(near) if request.learned is None else _CHUNK
     for start in range(0, len(near), size):
-        part = slice(start, start + size)
+        part = asked.order[start : start + size]
         if request.learned is not None:
             learned[:, part] = request.learned.at(axis, speed[part], thrust[part], near[part])
         yield None
@@ -248,7 +248,7 @@ def _hull_steps(request: Request, axis: int, steering: Steering | None) -> Itera
     k = request.k
     if request.learned is not None and not (request.last or request.envelope.slice_only):
         groups = shape[0] * (2 if axis == DOWN else 1)
-        k = sigmas(Sides(*(part.reshape(groups, -1) for part in sides)), k)
+        k = sigmas(sides.grouped(groups), k)
     bounds = sides.at(k)
     low, high = bounds[0] + sides.below, bounds[1] + sides.above
     if axis == DOWN and request.last and request.learned is not None:

@@ -27,32 +27,33 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from flightstack.barrier.confidence import ALLOWANCE, Colour, colour
+from flightstack.barrier.confidence import ALLOWANCE, colour
 from flightstack.barrier.initial import DOWN
-from flightstack.barrier.query_inputs import inputs, turns
+from flightstack.barrier.process import DRIFT_S, Drift, Process
+from flightstack.barrier.query_inputs import along
 from flightstack.barrier.sizes import SHARES, SmoothSizes
 from flightstack.gp import Kernel, Matern, SquaredExponential, program
-from flightstack.gp.gram import lower_triangle, parts
+from flightstack.gp.gram import alike, linear_columns, lower_triangle, parts
 from flightstack.gp.kernels import Product, Sum
 from flightstack.learning.learner import LearnerState, Learnt
-from flightstack.learning.sampler import AXIS_E, AXIS_N, GROUND, THRUST, D
+from flightstack.learning.sampler import GROUND, THRUST, D
 from flightstack.learning.store import INFLATION, Evidence, Store
 from flightstack.model import Model
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+
+__all__ = ["Accelerations", "Drift", "Live", "Posterior", "Process", "sized_steps"]
 
 _LIKELY = 1.92
 """Of the log likelihood: half the 95 % quantile of chi squared with one degree of freedom."""
 _NEGLIGIBLE = 1e-18
 _NOISES = ((1.0, 0.0), (1.0, 0.25), (1.5, 0.25), (1.0, 1.0))
 """Of what noise may be: its variance in shares of the measured one, and drift's in shares of that."""
-_DRIFT_S = 2.0
 _CHUNK = 64
 _COLOURED = 500
 """Windows whose residuals are looked at: half a minute."""
@@ -62,92 +63,17 @@ _LEAST_GROUND = 0.5
 """Of Cheeseman and Bennett's, one standard deviation of a prior that knows the ground."""
 
 
-class Drift(NamedTuple):
-    """What noise wanders by, as a first-order Gauss-Markov process: in every output alike, apart from the others."""
-
-    variance: float = 0.0
-    """(m/s^2)^2; 0: none."""
-    time_s: float = _DRIFT_S
-
-    def between(self, one_us: NDArray[np.int64], other_us: NDArray[np.int64]) -> F64:
-        """(M, N) covariances of windows that end at these stamps, (M,) and (N,)."""
-        apart = np.abs(one_us[:, None] - other_us[None, :])
-        found: F64 = self.variance * np.exp(-1e-6 / self.time_s * apart)
-        return found
-
-
-_STEADY = Drift()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Process:
-    """A store's Gaussian process and calibration, copied."""
-
-    kernel: Kernel
-    noise_var: float
-    x: F64
-    """(N, D) the sampler's columns."""
-    y: F64
-    """(N, P) residuals, tilt axes."""
-    excess: F64
-    """(P,) variance that the kernel does not know, (m/s^2)^2, with the learner's inflation."""
-    colour: Colour = field(default_factory=lambda: Colour.white(1))
-    """Factors on the posterior standard deviation, and remainders."""
-    spans_us: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
-    """(N, 2) stamps of the first and last sample of each point's window; none where it is not known."""
-    drift: Drift = _STEADY
-    """None where the stamps are not known."""
-    force: Kernel | None = None
-    """As `StorePrior`; what of it the data want is in the kernel (`sized_steps`)."""
-
-    @classmethod
-    def of(cls, store: Store, x: F64, y: F64) -> Process:
-        """These points with the store's kernel, noise and calibration."""
-        excess = INFLATION**2 * store.excess
-        return cls(store.gp.kernel, store.gp.noise_var, x, y, excess, Colour.white(len(excess)))
-
-    @classmethod
-    def resting_on(cls, evidence: Evidence) -> Process:
-        """As many points as a store holds, that reach as far as all of the evidence."""
-        chosen = evidence.chosen(evidence.capacity)
-        x, y, spans_us = evidence.places[chosen], evidence.values[chosen], evidence.spans_us[chosen]
-        excess = INFLATION**2 * evidence.excess
-        return cls(
-            evidence.kernel, evidence.noise_var, x, y, excess, Colour.white(len(excess)), spans_us, force=evidence.force
-        )
-
-    def as_json(self) -> dict[str, object]:
-        """Plain numbers, lists and tables."""
-        inflation, remainder = (np.broadcast_to(part, self.excess.shape).tolist() for part in self.colour)
-        drift = {"drift": self.drift._asdict()} if self.drift.variance > 0.0 else {}
-        return {
-            "kernel": self.kernel.to_dict(), "noise_var": self.noise_var,
-            "inflation": inflation, "remainder_mps2": remainder,
-            "excess": self.excess.tolist(), "x": self.x.tolist(), "y": self.y.tolist(),
-            "windows_us": self.spans_us.tolist(), **drift,
-        }  # fmt: skip
-
-    @property
-    def correlations(self) -> F64:
-        """(N, N) the drift's, of a variance of one, column by column."""
-        return self.drift._replace(variance=1.0).between(self.spans_us[:, 1], self.spans_us[:, 1]).T
-
-    @property
-    def bytes(self) -> bytes:
-        """x, then y: little-endian doubles, row by row."""
-        return np.ascontiguousarray(self.x, "<f8").tobytes() + np.ascontiguousarray(self.y, "<f8").tobytes()
-
-
 class Posterior:
     """A process factorised; final, holds only constants."""
 
-    __slots__ = ("_factor", "_gram", "_program", "_together", "_weights", "process")
+    __slots__ = ("_factor", "_gram", "_linear", "_program", "_together", "_weights", "process")
 
     def __init__(self, process: Process, gram: F64 | None = None, together: F64 | None = None) -> None:
         """`gram` (N, N): the kernel of the points, `together` (N, N): correlations of drift; both as in `gp.gram`."""
         self.process, self._program = process, process.kernel.program(process.x.shape[1])
         self._gram = lower_triangle(process.kernel, process.x) if gram is None else gram
         self._together = together
+        self._linear: tuple[NDArray[np.int64], F64, F64] | None = None
         self._factor, failed = lapack.dpotrf(self._noisy(0.0), lower=1, clean=0, overwrite_a=1)
         if failed:  # points that coincide to the last digit: a little more noise
             size = float(np.trace(self._gram)) + len(self._gram) * (process.noise_var + process.drift.variance)
@@ -223,7 +149,7 @@ class Posterior:
         other = object.__new__(Posterior)
         other.process, other._program = process, self._program
         other._factor, other._weights = self._factor, self._weights
-        other._gram, other._together = self._gram, self._together
+        other._gram, other._together, other._linear = self._gram, self._together, self._linear
         return other
 
     def _cross(self, x: F64) -> F64:
@@ -243,12 +169,31 @@ class Posterior:
         return mean
 
     def at(self, x: F64) -> tuple[F64, F64]:
-        """Means (M, P) and latent variance (M,) at x (M, D)."""
-        cross = self._cross(x)
-        mean: F64 = cross.T @ self._weights
+        """Means (M, P) and latent variance (M,) at x (M, D).
+
+        What the kernel has a column in by itself and linearly alone, thrust, costs nothing: with z = L^-1 k at thrust 0
+        and Z = L^-1 dk/dx, solved once, it is z + Z x.
+        """
+        columns, slopes, solved_slopes = self._linear or self._solved_slopes()
+        places, first = alike(x, columns)
+        base, linear = x[first], x[:, columns]
+        base[:, columns] = 0.0
+        cross = self._cross(base)
         solved, _ = lapack.dtrtrs(self._factor, cross, lower=1)
-        prior = program.diagonal(self._program, np.ascontiguousarray(x))
-        return mean, np.maximum(prior - np.einsum("ij,ij->j", solved, solved), 0.0)
+        mean: F64 = (cross.T @ self._weights)[places] + linear @ (slopes.T @ self._weights)
+        known = np.einsum("ij,ij->j", solved, solved)[places]
+        if len(columns):
+            known += np.einsum("ij,ij->i", linear, 2.0 * (solved.T @ solved_slopes)[places])
+            known += np.einsum("ij,ij->i", linear @ (solved_slopes.T @ solved_slopes), linear)
+        return mean, np.maximum(program.diagonal(self._program, np.ascontiguousarray(x)) - known, 0.0)
+
+    def _solved_slopes(self) -> tuple[NDArray[np.int64], F64, F64]:
+        """Columns in which the kernel is linear and no more, slopes (N, columns) of covariances along them, solved."""
+        columns, variances = linear_columns(self._program, self.process.x.shape[1])
+        slopes = np.asfortranarray(self.process.x[:, columns] * variances)
+        found = columns, slopes, lapack.dtrtrs(self._factor, slopes, lower=1)[0] if len(columns) else slopes
+        self._linear = found
+        return found
 
 
 def sized_steps(process: Process) -> Iterator[Posterior | None]:
@@ -261,7 +206,7 @@ def sized_steps(process: Process) -> Iterator[Posterior | None]:
     times_s = np.asarray(1e-6 * process.spans_us[:, 1] if dated else np.zeros(len(process.x)), np.float64)
     known = parts(process.kernel, process.x)
     sizes = SmoothSizes(
-        known.root, known.smooth, process.y, process.noise_var, times_s, _DRIFT_S,
+        known.root, known.smooth, process.y, process.noise_var, times_s, DRIFT_S,
         None if force is None else parts(force, process.x).root,
     )  # fmt: skip
     together = process.correlations if dated and not sizes.worth_it else None
@@ -377,19 +322,17 @@ class Accelerations:
         At velocities (M, 3), thrust vectors f (M, 3) and nearness (M,).
         With upright thrust the down axis sees the vertical process alone, which saves half the work.
         """
-        x = inputs(speed, thrust, near)
-        turn = turns(x[:, AXIS_N], x[:, AXIS_E])
-        along = turn[:, axis, :]
-        mean = -thrust[:, axis] - np.einsum("mk,mjk,mj->m", along * self._drag_per_s, turn, speed)
-        mean[:] += STANDARD_GRAVITY_MPS2 if axis == DOWN else 0.0
+        x, shares, mean = along(axis, speed, np.ascontiguousarray(thrust), near, self._drag_per_s)
+        mean += STANDARD_GRAVITY_MPS2 if axis == DOWN else 0.0
         variance, rest = np.zeros(len(x)), np.zeros(len(x))
         for process, columns in ((self.lateral, slice(0, 2)), (self.vertical, slice(2, 3))):
-            if along[:, columns].any():
+            share = shares[:, columns]
+            if share.any():
                 residual, spread = process.at(x)
-                mean += np.einsum("mk,mk->m", along[:, columns], residual)
+                mean += (share * residual).sum(axis=1)
                 known = process.process.colour
                 calibrated = known.inflation**2 * spread[:, None] + process.process.excess
-                variance += np.einsum("mk,mk->m", along[:, columns] ** 2, calibrated)
+                variance += (share * share * calibrated).sum(axis=1)
                 if known.remainder_mps2.any():
-                    rest += np.abs(along[:, columns]) @ known.remainder_mps2 * (1.0 + process.weight_sums(x))
+                    rest += np.abs(share) @ known.remainder_mps2 * (1.0 + process.weight_sums(x))
         return mean, np.sqrt(variance), rest

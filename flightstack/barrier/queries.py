@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.query_inputs import proximity
@@ -15,6 +16,8 @@ from flightstack.barrier.records import Budget
 from flightstack.types import F64
 
 _SIGNS = np.array([[a, b, c, d] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1) for d in (-1, 1)], np.float64)
+_BY_THRUST = np.concatenate([[0], 1 + np.lexsort(_SIGNS[:, [1, 3, 2, 0]].T)])
+"""A lateral axis' queries in an order in which the sign of the thrust changes most often."""
 
 
 class Envelope(NamedTuple):
@@ -90,6 +93,8 @@ class Queries(NamedTuple):
     """(n, 2, q) what thrust does by the vertical gain, which a lateral offset leaves out."""
     wanted_mps2: tuple[float, float]
     """W of a lateral axis."""
+    order: NDArray[np.int64]
+    """(n 2 q,) of all in a row: those that differ in thrust alone stand side by side, which is quicker to answer."""
 
 
 def statements(envelope: Envelope, ground: bool = False) -> int:
@@ -130,10 +135,11 @@ def queries(envelope: Envelope, box: Budget, rotor_radius_m: float, axis: int, s
         ends[..., 1:] = np.where(signs[:, 1] > 0.0, box.high_mps2, box.low_mps2)
     axes[..., DOWN] = np.sqrt(1.0 - axes[..., 0] ** 2 - axes[..., 1] ** 2)
     thrust = axes * (ends / axes[..., DOWN])[..., None]
+    order = np.arange(ends.size).reshape(ends.shape)
     if steering is None:
-        return Queries(nodes, speed, thrust, near, np.zeros(ends.shape), (0.0, 0.0))
+        return Queries(nodes, speed, thrust, near, np.zeros(ends.shape), (0.0, 0.0), order.swapaxes(1, 2).ravel())
     explained = np.interp(speed[..., DOWN], steering.v_mps, steering.gain) * thrust[..., axis]
     lead, (least, most) = max(steering.hover_mps2, 0.5 * (box.low_mps2 + box.high_mps2)), box.kept[axis]
     gains = lead * float(steering.gain.min()), lead * float(steering.gain.max())
     wanted = -min(gain * most for gain in gains), -max(gain * least for gain in gains)
-    return Queries(nodes, speed, thrust, near, explained, wanted)
+    return Queries(nodes, speed, thrust, near, explained, wanted, order[..., _BY_THRUST[:count]].ravel())

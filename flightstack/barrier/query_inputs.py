@@ -9,21 +9,43 @@ R(b): the shortest turn of down onto b, tilt axes to NED.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from flightstack.barrier.initial import DOWN
+from flightstack.jit import njit_called
 from flightstack.learning.sampler import AXIS_E, AXIS_N, GROUND, THRUST, D
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 
 
 def inputs(speed: F64, thrust: F64, near: F64) -> F64:
     """(M, D) the sampler's columns."""
-    size = np.sqrt(np.einsum("ij,ij->i", thrust, thrust))
-    weights = size / STANDARD_GRAVITY_MPS2
-    out = np.empty((len(thrust), D))
-    out[:, 3:5] = thrust[:, :2] / size[:, None]
-    out[:, :3] = np.einsum("mji,mj->mi", turns(out[:, AXIS_N], out[:, AXIS_E]), speed)
-    out[:, THRUST], out[:, GROUND] = weights, weights * near
-    return out
+    return along(DOWN, speed, thrust, near, np.zeros(3))[0]
+
+
+@njit_called
+def along(axis: int, speed: F64, thrust: F64, near: F64, drag_per_s: F64) -> tuple[F64, F64, F64]:
+    """(M, D) the sampler's columns; (M, 3) the shares of tilt axes in an axis; (M,) thrust and drag along it, m/s^2."""
+    x, rows, mean = np.empty((len(thrust), D)), np.empty((len(thrust), 3)), np.empty(len(thrust))
+    for m in range(len(thrust)):
+        size = math.sqrt(thrust[m, 0] ** 2 + thrust[m, 1] ** 2 + thrust[m, 2] ** 2)
+        b_n, b_e = thrust[m, 0] / size, thrust[m, 1] / size
+        down = math.sqrt(max(1.0 - b_n * b_n - b_e * b_e, 0.0))
+        share = 1.0 / (1.0 + down)
+        cross = -share * b_n * b_e
+        turn = (
+            (1.0 - share * b_n * b_n, cross, b_n), (cross, 1.0 - share * b_e * b_e, b_e), (-b_n, -b_e, down)
+        )  # fmt: skip
+        mean[m] = -thrust[m, axis]
+        for k in range(3):
+            x[m, k] = turn[0][k] * speed[m, 0] + turn[1][k] * speed[m, 1] + turn[2][k] * speed[m, 2]
+            rows[m, k] = turn[axis][k]
+            mean[m] -= turn[axis][k] * drag_per_s[k] * x[m, k]
+        x[m, AXIS_N], x[m, AXIS_E] = b_n, b_e
+        x[m, THRUST] = size / STANDARD_GRAVITY_MPS2
+        x[m, GROUND] = x[m, THRUST] * near[m]
+    return x, rows, mean
 
 
 def turns(axis_n: F64, axis_e: F64) -> F64:

@@ -7,12 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.gp.kernels import Kernel
-from flightstack.gp.program import I64, LINEAR, WORK_ROWS, row
+from flightstack.gp.program import I64, LINEAR, WORK_ROWS, Program, row
 from flightstack.jit import njit_called
 from flightstack.types import F64
 
 _BLOCK = 8
 """Rows that are written at once: as many numbers as a line of the cache holds."""
+_ROUNDED = 1e-12
 
 
 class Parts(NamedTuple):
@@ -54,6 +55,51 @@ def parts(kernel: Kernel, x: F64) -> Parts:
             columns.append(column[:, None])
     shape[0][0] = len(shape) - 1
     return Parts(np.hstack(columns), _triangle(np.concatenate(shape), np.concatenate(numbers), rows))
+
+
+def linear_columns(kernel: Program, count: int) -> tuple[I64, F64]:
+    """Columns, of so many, that a kernel has nowhere but in terms of their own, variance x_c x'_c; these variances, 0
+    of columns that it does not look at."""
+    ints, floats, _ = kernel
+    variances, elsewhere = np.zeros(count), np.zeros(count, np.bool_)
+    at, place = 1, 0
+    for _ in range(ints[0]):
+        factors, coefficient = ints[at], floats[place]
+        at, place = at + 1, place + 1
+        for _ in range(factors):
+            columns = ints[at + 2 : at + 2 + ints[at + 1]]
+            if factors == 1 and ints[at] == LINEAR:
+                variances[columns] += coefficient
+            else:
+                elsewhere[columns] = True
+            place += 0 if ints[at] == LINEAR else len(columns)
+            at += 2 + len(columns)
+    found = np.flatnonzero(~elsewhere)
+    return found, variances[found]
+
+
+@njit_called
+def alike(x: F64, but: I64) -> tuple[I64, I64]:
+    """(M,) number of each row of x (M, D) among those that differ, and the first row of each: up to rounding, and but
+    for some columns."""
+    places, first, count = np.empty(len(x), np.int64), np.empty(len(x), np.int64), 0
+    compared = np.ones(x.shape[1], np.bool_)
+    compared[but] = False
+    for i in range(len(x)):
+        places[i] = count
+        for k in range(count - 1, -1, -1):
+            same = True
+            for c in range(x.shape[1]):
+                if compared[c] and abs(x[i, c] - x[first[k], c]) > _ROUNDED:
+                    same = False
+                    break
+            if same:
+                places[i] = k
+                break
+        if places[i] == count:
+            first[count] = i
+            count += 1
+    return places, first[:count].copy()
 
 
 def _triangle(ints: I64, floats: F64, x: F64) -> F64:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from flightstack.barrier.design import (
     slice_area,
     worst_slice_area,
 )  # fmt: skip
+from flightstack.barrier.design_search import sized
 from flightstack.barrier.records import Response
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 
@@ -153,6 +155,14 @@ def test_growth_stops_where_the_next_size_fails(change: object, shape: Barrier) 
     made = [change(shape, size) for size in sizes]  # type: ignore[operator]
     closing = [b.area_m2ps for b in made if STRIP.holds(b) and cover(b, MARGINS, authority).closed]
     assert 0.98 * max(closing) <= grown.area_m2ps <= 1.02 * max(closing)
+
+
+@pytest.mark.parametrize("change", [at_level, at_speed])
+@pytest.mark.parametrize("shape", [Quadratic(0.1, -0.9, 3.4, 0.37, 0.225), Stopping(-0.3, 0.4, 0.1, 2.0, 5.0)])
+def test_compiled_sizes_are_the_shapes_own(change: Callable[[Barrier, float], Barrier], shape: Barrier) -> None:
+    for size in (0.013, 0.85, 1.0, 3.7):
+        found = sized(shape.rows, change is at_speed, size, np.empty_like(shape.rows))
+        np.testing.assert_array_equal(found, change(shape, size).rows)
 
 
 def test_growth_with_knowledge() -> None:

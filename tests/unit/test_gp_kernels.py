@@ -23,7 +23,7 @@ from flightstack.gp import (
     kernel_from_dict,
     program,
 )
-from flightstack.gp.gram import lower_triangle, parts
+from flightstack.gp.gram import alike, linear_columns, lower_triangle, parts
 from flightstack.types import F64, InputError
 
 X = np.random.default_rng(1).normal(size=(30, 4))
@@ -115,6 +115,22 @@ def test_the_gradient_by_theta_is_the_slope_of_a_weighted_sum(
         slopes.append(np.sum(weights * (ahead - behind)) / (2 * step))
     found = program.gradient(kernel.program(4), X, weights)
     np.testing.assert_allclose(found, slopes, rtol=1e-6, atol=1e-6)
+
+
+def test_columns_that_a_kernel_has_in_terms_of_their_own_alone() -> None:
+    kernel = (
+        Constant(2.0) + Linear(3.0, 1) + Linear(0.5, 2) * Linear(0.1, 0) + Linear(4.0, 1) + Matern(1.5, 1.0, 2.0, (3,))
+    )
+    columns, variances = linear_columns(kernel.program(6), 6)
+    assert columns.tolist() == [1, 4, 5]
+    assert variances.tolist() == [7.0, 0.0, 0.0]
+
+
+def test_rows_that_are_alike_but_for_some_columns() -> None:
+    x = np.array([[1.0, 2.0, 3.0], [1.0, 2.5, 3.0], [1.0, 2.0, 4.0], [1.0 + 1e-15, 0.0, 3.0], [1.0 + 1e-9, 0.0, 3.0]])
+    places, first = alike(x, np.array([1]))
+    assert places.tolist() == [0, 0, 1, 0, 2]
+    assert first.tolist() == [0, 2, 4]
 
 
 def test_a_motion_through_a_held_point_has_finite_rates() -> None:

@@ -24,13 +24,13 @@ from flightstack.barrier.knowledge import (
     vertical_authority_weights,
 )  # fmt: skip
 from flightstack.barrier.posterior import Accelerations, Posterior, Process, sized_steps
-from flightstack.gp import SquaredExponential
+from flightstack.gp import Kernel, SquaredExponential
 from flightstack.gp.kernels import kernel_from_dict
 from flightstack.learning.priors import default_priors
 from flightstack.model import Limits, Model
 from flightstack.scenario import parse_scenario
+from flightstack.types import F64, InputError
 from flightstack.types import STANDARD_GRAVITY_MPS2 as G
-from flightstack.types import InputError
 
 MODEL = Model.from_vehicle(load_vehicle("quad-x"))
 LIMITS = Limits()
@@ -120,6 +120,34 @@ def test_posterior_is_scikit_learns() -> None:
     np.testing.assert_allclose(np.sqrt(variance), sigma[:, 0], atol=1e-9)
     likelihood = ours.log_likelihood - 80 * math.log(2.0 * math.pi)
     assert likelihood == pytest.approx(oracle.log_marginal_likelihood_value_, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "constant", "linear", "smooth"),
+    [
+        (default_priors().lateral.kernel, 1.0, [0.5, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0], 0.6),
+        (default_priors().vertical.kernel, 0.05, [0.0, 0.0, 0.3, 1.0, 1.0, 0.4 * G, G], 0.12),
+    ],
+)
+def test_posteriors_at_places_that_differ_in_thrust_alone_are_those_of_the_whole_covariance(
+    kernel: Kernel, constant: float, linear: list[float], smooth: float
+) -> None:
+    """The flights' own priors; at four places with three thrusts each, at one twice, and elsewhere."""
+
+    def whole(a: F64, b: F64) -> F64:
+        near = RBF((4.0, 4.0, 4.0, 0.5, 0.5))(a[:, :5], b[:, :5])
+        return np.asarray(constant**2 + (a * np.square(linear)) @ b.T + smooth**2 * near)
+
+    rng = np.random.default_rng(4)
+    low, high = np.array([-2.0, -2.0, -1.0, -0.3, -0.3, 0.7, 0.0]), np.array([2.0, 2.0, 1.0, 0.3, 0.3, 1.5, 0.1])
+    x, y, at = rng.uniform(low, high, (80, 7)), rng.normal(0.0, 0.3, (80, 2)), rng.uniform(low, high, (17, 7))
+    at[4:12, :5], at[12] = np.tile(at[:4, :5], (2, 1)), at[3]
+    mean, variance = Posterior(Process(kernel, 0.045**2, x, y, np.zeros(2))).at(at)
+    gram, cross = whole(x, x) + 0.045**2 * np.eye(len(x)), whole(x, at)
+    np.testing.assert_allclose(mean, cross.T @ np.linalg.solve(gram, y), atol=1e-9)
+    expected = np.diag(whole(at, at)) - np.sum(cross * np.linalg.solve(gram, cross), axis=0)
+    np.testing.assert_allclose(variance, expected, atol=1e-9)
+    assert variance.min() > 1e-4, "far more than what is allowed"
 
 
 def cushion(height_m: np.ndarray, strength: float) -> np.ndarray:
