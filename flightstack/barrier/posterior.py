@@ -290,8 +290,12 @@ class Accelerations:
         What the newest points are off by beyond their noise widens the bound: a drift since the oldest of the set.
         """
         found: list[Posterior] = []
+        before: Evidence | None = None
         for store in (state.lateral, state.vertical):
-            copy = Process.resting_on(store.evidence())
+            evidence = store.evidence()
+            if before is None or not evidence.is_where(before):  # both mostly hear of the same windows
+                before, chosen = evidence, evidence.chosen(evidence.capacity)
+            copy = Process.resting_on(evidence, chosen)
             yield None
             sized: Posterior | None = None
             for piece in sized_steps(copy):

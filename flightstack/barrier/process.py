@@ -61,9 +61,9 @@ class Process:
         return cls(store.gp.kernel, store.gp.noise_var, x, y, excess, Colour.white(len(excess)))
 
     @classmethod
-    def resting_on(cls, evidence: Evidence) -> Process:
-        """As many points as a store holds, that reach as far as all of the evidence."""
-        chosen = evidence.chosen(evidence.capacity)
+    def resting_on(cls, evidence: Evidence, chosen: NDArray[np.int64] | None = None) -> Process:
+        """As many points as a store holds, that reach as far as all of the evidence; `chosen`: which, where known."""
+        chosen = evidence.chosen(evidence.capacity) if chosen is None else chosen
         x, y, spans_us = evidence.places[chosen], evidence.values[chosen], evidence.spans_us[chosen]
         excess = INFLATION**2 * evidence.excess
         return cls(

@@ -104,7 +104,8 @@ def alike(x: F64, but: I64) -> tuple[I64, I64]:
 
 def _triangle(ints: I64, floats: F64, x: F64) -> F64:
     out = np.zeros((len(x), len(x)))
-    _lower(ints, floats, x, np.ascontiguousarray(x.T), out)
+    if ints[0]:
+        _lower(ints, floats, x, np.ascontiguousarray(x.T), out)
     return out.T
 
 

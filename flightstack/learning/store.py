@@ -93,6 +93,10 @@ class Evidence:
         """Indices of `count` pooled points that reach as far as all of them."""
         return spread(self.places, count) if len(self.places) else np.arange(0)
 
+    def is_where(self, other: Evidence) -> bool:
+        """Whether as many points are chosen at the same places."""
+        return self.capacity == other.capacity and np.array_equal(self.places, other.places)
+
     def certificate_set(self, count: int) -> tuple[F64, F64]:
         """Places (N, D) and values (N, P) of `count` pooled points that reach as far as all of them."""
         chosen = self.chosen(count)

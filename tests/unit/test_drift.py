@@ -7,15 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shipped import load_vehicle
 
-from flightstack.barrier.posterior import Posterior, Process, sized_steps
+from flightstack.barrier.posterior import Accelerations, Posterior, Process, sized_steps
 from flightstack.certificate_check.floors import check_drift
 from flightstack.certificate_check.knowledge import _process
 from flightstack.certificate_check.reading import Refused
 from flightstack.gp import Constant, Kernel, SquaredExponential
 from flightstack.gp.kernels import Sum
+from flightstack.learning.learner import Learnt
 from flightstack.learning.priors import default_priors
 from flightstack.learning.store import Evidence
+from flightstack.model import Model
 from flightstack.types import F64
 
 PRIOR = default_priors().lateral.kernel
@@ -73,6 +76,17 @@ def bound(posterior: Posterior, queries: F64) -> F64:
     wide = K * np.sqrt(colour.inflation**2 * variance[:, None] + posterior.process.excess)
     found: F64 = wide + colour.remainder_mps2 * (1.0 + posterior.weight_sums(queries)[:, None])
     return found
+
+
+def test_each_store_rests_on_points_of_its_own() -> None:
+    evidence = replace(flight(500, 0.25, 0.0, 2.0)[0], capacity=100)
+    other = replace(evidence, places=evidence.places + 0.1 * np.sin(np.arange(WINDOWS))[:, None])
+    smaller = replace(evidence, capacity=80)
+    for vertical in (evidence, other, smaller):
+        *_, frozen = Accelerations.frozen_steps(Learnt(evidence, vertical), Model.from_vehicle(load_vehicle("quad-x")))
+        assert frozen is not None
+        for each, posterior in ((evidence, frozen.lateral), (vertical, frozen.vertical)):
+            np.testing.assert_array_equal(posterior.process.x, each.places[each.chosen(each.capacity)])
 
 
 @pytest.mark.parametrize(("drift", "time_s"), [(0.0, 2.0), (0.25, 2.0), (1.0, 0.5), (0.25, 8.0)])
