@@ -13,11 +13,12 @@ import numpy as np
 
 from flightstack.gap.airspeed import moves
 from flightstack.gap.decisions import ALIKE_EVIDENCE, ALIKE_SHARE, HALF
+from flightstack.gap.naming.candidates import members
 from flightstack.gap.naming.design import layout_of
 from flightstack.gap.naming.evidence import fit_subsets, score
-from flightstack.gap.naming.search import Fit, SelectionState, fit_subset, members
+from flightstack.gap.naming.search import Fit, SelectionState, fit_subset
 from flightstack.gap.records import IdentifiedEffect, Samples
-from flightstack.gap.simulate import with_value
+from flightstack.gap.simulate import value, with_value
 from flightstack.gap.track import track
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
@@ -49,8 +50,8 @@ def alternatives(state: SelectionState, best: Fit, effect: str) -> tuple[str, ..
             (name,) = set(fit.effects) - rest
             if name not in excluded:
                 found[name] = min(found.get(name, fit), fit, key=lambda each: each.score)
-    for value, i in scored[:_TRIED]:
-        if value > best.score + 3.0 * bearable + 0.05 * explained:
+    for least, i in scored[:_TRIED]:
+        if least > best.score + 3.0 * bearable + 0.05 * explained:
             break
         name = point.candidates[others[i]].effect
         fit = fit_subset(state, fitted[1 + i])
@@ -159,12 +160,12 @@ def together(found: IdentifiedEffect, others: tuple[str, ...]) -> IdentifiedEffe
     return replace(found, indistinguishable_from=twins, manoeuvre=splitting_manoeuvre((found.name, *twins)))
 
 
-def doubled(found: Sequence[IdentifiedEffect], mass_kg: float) -> tuple[str, ...]:
+def doubled(found: Sequence[IdentifiedEffect], vehicle: Vehicle) -> tuple[str, ...]:
     """Named effects (strongest first) that the logs can't tell from a stronger one that is named too.
 
-    A force that holds up more than half of what a named payload weighs or a named thrust scale takes (or pulls down
-    what it adds) is none either: both together are thrust that answers commands less than it should, round the
-    same mean.
+    A force, or a wind on the vertical drag, that holds up more than half of what a named payload weighs or a named
+    thrust scale takes (or pulls down what it adds) is none either: both together are thrust that answers commands less
+    than it should, round the same mean.  `vehicle` has what is named.
     """
     gone = [
         weaker.name
@@ -173,12 +174,15 @@ def doubled(found: Sequence[IdentifiedEffect], mass_kg: float) -> tuple[str, ...
         if weaker.name in other.indistinguishable_from and other.name in weaker.indistinguishable_from
     ]
     of = {f.name: f.parameters for f in found}
-    if "constant_force" in of and {"payload", "thrust_scale"} & of.keys():
-        carried_kg = of["payload"]["mass_kg"].estimate if "payload" in of else 0.0
-        lost = 1.0 - of["thrust_scale"]["scale"].estimate if "thrust_scale" in of else 0.0
-        weight_n = STANDARD_GRAVITY_MPS2 * (carried_kg + lost * mass_kg)
+    carried_kg = of["payload"]["mass_kg"].estimate if "payload" in of else 0.0
+    lost = 1.0 - of["thrust_scale"]["scale"].estimate if "thrust_scale" in of else 0.0
+    weight_n = STANDARD_GRAVITY_MPS2 * (carried_kg + lost * vehicle.mass_kg)
+    if weight_n and "constant_force" in of:
         down_n = of["constant_force"]["down_n"].estimate
         gone += ["constant_force"] if -down_n * np.sign(weight_n) > HALF * abs(weight_n) else []
+    if weight_n and "steady_wind" in of:
+        down_n = of["steady_wind"]["down_mps"].estimate * value(vehicle, "linear_drag", "d_z_kgps")
+        gone += ["steady_wind"] if -down_n * np.sign(weight_n) > HALF * abs(weight_n) else []
     return tuple(dict.fromkeys(gone))
 
 

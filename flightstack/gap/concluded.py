@@ -14,7 +14,7 @@ from flightstack.gap import airspeed, estimator_bias, instruments, pooled
 from flightstack.gap.across import Told, confirmed, differing
 from flightstack.gap.blown import with_turbulence
 from flightstack.gap.classes import beside_a_poor_model, confused_with, doubled, in_classes, without_motors
-from flightstack.gap.decisions import HALF, MOSTLY, TENTH
+from flightstack.gap.decisions import HALF, MOSTLY, NAME_EVIDENCE, TENTH
 from flightstack.gap.held import (
     corrected,
     fails_holdout,
@@ -44,16 +44,25 @@ def silent(share: float, phase: str) -> None:
 
 
 def concluded(
-    vehicle: Vehicle, of: FitHoldoutSplit, called: str, on_progress: OnProgress = silent, *, closely: bool = False
+    vehicle: Vehicle,
+    of: FitHoldoutSplit,
+    called: str,
+    on_progress: OnProgress = silent,
+    *,
+    closely: bool = False,
+    margin: float = NAME_EVIDENCE,
 ) -> Said:
-    """What is named, refined and judged by the held-out part of these flights, and what stays unexplained."""
+    """What is named, refined and judged by the held-out part of these flights, and what stays unexplained.
+
+    `closely`, `margin`: of `name`.
+    """
     on_progress(0.2, "naming")
-    naming = name(vehicle, of.flights, of.fit, of.holdout, closely=closely)
+    naming = name(vehicle, of.flights, of.fit, of.holdout, closely=closely, margin=margin)
     taken, (naming, of, gap) = of, _judged(vehicle, naming, of, on_progress)
     doubted = naming.found or naming.unexplained.significant or gap.closed is not None
     if doubted and any(early := instruments.early_s(naming.vehicle, taken.flights, taken.fit)):
         taken = replace(taken, flights=instruments.moved(taken.flights, early))
-        naming = name(vehicle, taken.flights, taken.fit, taken.holdout, closely=closely)
+        naming = name(vehicle, taken.flights, taken.fit, taken.holdout, closely=closely, margin=margin)
         naming, of, gap = _judged(vehicle, naming, taken, on_progress)
     naming, of, gap = _without_loop_noise(vehicle, naming, of, gap, [s.command_late_s for s in taken.flights])
     naming, of, gap = _same_in_each(vehicle, naming, of, gap)
@@ -237,7 +246,7 @@ def _judged(vehicle: Vehicle, named: Selection, of: FitHoldoutSplit, on_progress
 
 def _merged(named: Selection) -> Selection:
     """The verdict with one name for each class: what the logs can't tell from a stronger name is its twin."""
-    gone = doubled(named.found, named.vehicle.mass_kg)
+    gone = doubled(named.found, named.vehicle)
     return (
         replace(named.without(gone, "these logs can't tell it from what is named"), unexplained=named.unexplained)
         if gone

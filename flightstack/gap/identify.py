@@ -19,6 +19,7 @@ from flightstack.gap.decisions import ALIKE_COSINE, NAME_EVIDENCE, NAME_P, SURE_
 from flightstack.gap.naming.candidates import has
 from flightstack.gap.naming.design import Linearised
 from flightstack.gap.naming.evidence import score
+from flightstack.gap.naming.proportion import priced
 from flightstack.gap.simulate import natural_scale
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -85,7 +86,7 @@ def _of_the_file(
     point: Linearised, start: Vehicle, effects: Sequence[str], named: Collection[str]
 ) -> list[Identifiable]:
     """What the file has and is not named, each as one factor on all of it."""
-    gram, rows = point.gram(), []
+    gram, rows = point.gram(), list[Identifiable]()
     for effect in dict.fromkeys(effects):
         if effect in named or not has(start, effect):
             continue
@@ -93,7 +94,7 @@ def _of_the_file(
         beside = [j for j, e in enumerate(effects) if e in named]
         information = _information(gram.k, own, beside)
         error = 1.0 / np.sqrt(information) if information > 1e-6 else float("inf")
-        smallest = error * _errors_of_a_name(float(np.log(max(gram.rows, 2.0))), int(np.sum(own != 0.0)))
+        smallest = error * (float(np.sqrt(priced(point, start).least_gain)) + SURE_ERRORS)
         manoeuvre = EFFECTS[effect].manoeuvre
         rows.append(Identifiable(effect, IN_PROPORTION, error, smallest, 1.0, smallest < 1.0, "", 0.0, manoeuvre))
     return rows

@@ -15,12 +15,13 @@ from flightstack.effects import EFFECTS
 from flightstack.gap.chances import chi2_tail
 from flightstack.gap.classes import alternatives, splitting_manoeuvre
 from flightstack.gap.decisions import ALIKE_EVIDENCE, CLEAR_EVIDENCE, LEAST_SIZES, NAME_EVIDENCE, NAME_P
-from flightstack.gap.naming.candidates import negligible, plausible, trifle
+from flightstack.gap.naming.candidates import members, negligible, plausible, trifle
 from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
-from flightstack.gap.naming.in_file import in_proportion, joined
+from flightstack.gap.naming.in_file import joined
 from flightstack.gap.naming.one_scale import by_one_scale
-from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, judged_fit, members, move_to
+from flightstack.gap.naming.proportion import in_proportion, priced
+from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, judged_fit, move_to
 from flightstack.gap.records import Estimate, IdentifiedEffect
 from flightstack.gap.simulate import FreeParameter, value
 from flightstack.types import F64
@@ -65,10 +66,7 @@ def _pruned(state: SelectionState) -> Fit:
         best = _as_good_and_whole(state, key) or best
     fuller = joined(state, best)
     kept = None if fuller is best else _if_all_stay(state, fuller)
-    if kept is None:
-        return best
-    spared = [evidence(state, kept, e) - _evidence_in_full(state, kept, e) for e in kept.effects]
-    return replace(kept, score=kept.score - max(spared))
+    return best if kept is None else kept
 
 
 def _as_good_and_whole(state: SelectionState, best_key: frozenset[str]) -> Fit | None:
@@ -108,7 +106,7 @@ def _without_the_thin(state: SelectionState, best: Fit) -> Fit:
                 fall = min(fall, 0.0)
             if fall < drop:
                 weakest, drop = effect, fall
-        if drop >= NAME_EVIDENCE:
+        if drop >= state.margin:
             return best
         rest_of = frozenset(best.effects) - {weakest}
         same = [f for f in state.fits.values() if frozenset(f.effects) == rest_of]
@@ -117,8 +115,13 @@ def _without_the_thin(state: SelectionState, best: Fit) -> Fit:
 
 
 def evidence(state: SelectionState, best: Fit, effect: str) -> float:
-    """By how much the score would rise without the effect; of one of the file, at least what one factor on it says."""
-    return max(_evidence_in_full(state, best, effect), in_proportion(state, best.effects, effect))
+    """By how much the score would rise without the effect.
+
+    Of one of the file at least what one factor on it says: as far beyond a name's evidence as beyond its own least.
+    """
+    at = priced(state.point, state.start)
+    own = in_proportion(state.point, state.start, best.effects, effect)
+    return max(_evidence_in_full(state, best, effect), state.margin + own + at.factor_price - at.least_gain)
 
 
 def _evidence_in_full(state: SelectionState, best: Fit, effect: str) -> float:
@@ -152,13 +155,12 @@ def judge(state: SelectionState, best: Fit) -> Judged:
     if not best.effects:
         return Judged((), made, {})
     found = []
-    count = len(EFFECTS)
     for effect in best.effects:
         fall = evidence(state, best, effect)
         p_value = _p_value(state, best, effect)
         others = alternatives(state, best, effect)
         held = gain(state, made, effect)
-        if p_value * count > NAME_P or held <= 0.0:
+        if p_value > NAME_P or held <= 0.0:
             continue
         found.append(
             (
@@ -185,9 +187,15 @@ def judge(state: SelectionState, best: Fit) -> Judged:
 
 
 def _p_value(state: SelectionState, best: Fit, effect: str) -> float:
-    """Likelihood ratio of the effect against trifles of all others."""
+    """Likelihood ratio of the effect against trifles of all others, by chance one of all effects.
+
+    Of one of the file at most that of one factor, by chance one of those that the file has.
+    """
     fall = _chi2_decrease(state, best.effects, effect)
-    return chi2_tail(max(len(best.effects[effect]), 1), fall)
+    in_full = chi2_tail(max(len(best.effects[effect]), 1), fall) * len(EFFECTS)
+    at = priced(state.point, state.start)
+    own = in_proportion(state.point, state.start, best.effects, effect) + at.factor_price
+    return min(in_full, chi2_tail(1, own) * len(at.factor) if own > 0.0 else np.inf)
 
 
 def parameters_of(state: SelectionState, made: Estimates, effect: str) -> dict[str, Estimate]:

@@ -30,13 +30,13 @@ from flightstack.gap.identify import Identifiable, identify
 from flightstack.gap.judge import Judged, better_as_drift, evidence, judge, parameters_of, pruned
 from flightstack.gap.locate import locate
 from flightstack.gap.naming.bench import SimulatorBench, simulator_bench
-from flightstack.gap.naming.candidates import plausible
+from flightstack.gap.naming.candidates import members, plausible
 from flightstack.gap.naming.design import design
 from flightstack.gap.naming.estimate import CI, Estimates, estimate, parameter_change
 from flightstack.gap.naming.evidence import fit_subsets
 from flightstack.gap.naming.joining import forward_selection_step
 from flightstack.gap.naming.ranged import as_twins_read, carried, is_touched
-from flightstack.gap.naming.search import Fit, SelectionState, members, search
+from flightstack.gap.naming.search import Fit, SelectionState, search
 from flightstack.gap.naming.trifles import trifles
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Across, ChannelResidual, IdentifiedEffect, Rejected, Samples, Unexplained
@@ -183,6 +183,15 @@ class Selection:
         return replace(self, found=found, vehicle=corrected(self.vehicle, found))
 
     @property
+    def left_thin(self) -> bool:
+        """Whether another fit has the better score, and was left for the margin that a name needs beyond it."""
+        if self._behind is None:
+            return False
+        scores = {frozenset(fit.effects): fit.score for fit in self._behind[1].fair()}
+        said = scores.get(frozenset(f.name for f in self.found), np.inf)
+        return min(scores.values(), default=np.inf) < said
+
+    @property
     def can_be_fitted(self) -> bool:
         """Whether anything could be learned from these flights."""
         return self._behind is not None
@@ -252,11 +261,13 @@ def name(
     holdout: Sequence[Mask],
     *,
     closely: bool = False,
+    margin: float = NAME_EVIDENCE,
 ) -> Selection:
     """Name the missing effects of `vehicle` from flights; masks (N,) by flight: samples to learn from, to judge by.
 
     The masks must leave a guard of two seconds between them.  Samples that are not `valid` are never used.  Nothing
     raises on odd data: what can't be judged is not named.  `closely`: trifles are a tenth of what they else are.
+    `margin`: evidence that a name needs beyond the price of its coefficients.
     """
     valid = [s.valid for s in flights]
     bench = simulator_bench(
@@ -273,10 +284,10 @@ def name(
     apart = () if has_gyro(flights) else POORLY_TOLD
     raw = design(bench, vehicle, vehicle)
     highest_m = _highest_m(flights)
-    state = search(bench, raw, apart, steady=closely, rope_most_m=highest_m)
+    state = search(bench, raw, apart, steady=closely, rope_most_m=highest_m, margin=margin)
     best = pruned(state)
     if not (closely or best.effects) and any(each.rms >= GAP_FROM * each.expected_noise for each in where):
-        state = search(bench, raw, apart, steady=True, rope_most_m=highest_m)
+        state = search(bench, raw, apart, steady=True, rope_most_m=highest_m, margin=margin)
         best = pruned(state)
     judged = judge(state, best)
     rests = residual_tests(bench, vehicle, judged.estimates)

@@ -25,6 +25,8 @@ _THIRD = np.sqrt(20.0)  # of the white noise in its third differences
 _MAD = 0.6745
 _TIMING_S = 0.0005
 """How far commands may have acted beside their stamps, beside the share of a sample (one sigma)."""
+_QUIET = 0.009
+"""Of full thrust: ULogs at 250 Hz have 0.008, a Crazyflie 0.001 to 0.008, MAVLink's streams of PX4 0.01 to 0.02."""
 _JUMP = 1.0 / 24.0
 """Variance of a command's mean between stamps for each squared second difference: a twelfth of a jump's, over two."""
 
@@ -35,6 +37,12 @@ def command_noise(samples: Samples) -> F64:
     if len(motor) < 8:
         return np.zeros(samples.motor.shape[1])
     return np.asarray(np.median(np.abs(np.diff(motor, n=3, axis=0)), axis=0) / _MAD / _THIRD)
+
+
+def loop_noise(samples: Samples) -> float:
+    """Variance of the white noise on the commands, 0 where it is too small to bend what they seem to do."""
+    noise = float(np.mean(command_noise(samples)))
+    return noise**2 if noise > _QUIET else 0.0
 
 
 def unknown_commands(samples: Samples) -> F64:

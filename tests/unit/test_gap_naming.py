@@ -18,13 +18,13 @@ from flightstack.gap.decisions import NAME_EVIDENCE
 from flightstack.gap.identify import IN_PROPORTION, identify
 from flightstack.gap.judge import pruned
 from flightstack.gap.naming import whitening
-from flightstack.gap.naming.candidates import candidates, negligible
+from flightstack.gap.naming.candidates import candidates, members, negligible
 from flightstack.gap.naming.design import design
 from flightstack.gap.naming.estimate import estimate
 from flightstack.gap.naming.evidence import Gram, all_subsets, fit_subsets, robust
-from flightstack.gap.naming.in_file import in_proportion
 from flightstack.gap.naming.metric import bounded_step
-from flightstack.gap.naming.search import SelectionState, members, search
+from flightstack.gap.naming.proportion import in_proportion
+from flightstack.gap.naming.search import SelectionState, search
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.simulate import FreeParameter, value
 from flightstack.types import F64
@@ -290,8 +290,10 @@ def test_one_factor_on_what_the_file_has_gains_what_least_squares_gains(dragged:
     origin = [s.origin * (point.candidates[s.candidate].effect == "linear_drag") for s in point.slots]
     along = inverse @ (point.x[rows] @ np.array(origin))
     gain = float(along @ point.y[rows]) ** 2 / float(along @ point.x[rows] @ np.array(origin))
-    assert in_proportion(state, {}, "linear_drag") == pytest.approx(gain - np.log(rows.sum()), rel=1e-3)
-    assert in_proportion(state, {}, "rotor_drag") == -np.inf  # not in the file
+    assert in_proportion(state.point, state.start, {}, "linear_drag") == pytest.approx(
+        gain - np.log(rows.sum()), rel=1e-3
+    )
+    assert in_proportion(state.point, state.start, {}, "rotor_drag") == -np.inf  # not in the file
 
 
 @pytest.mark.parametrize("seed", range(8))

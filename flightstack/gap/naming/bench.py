@@ -13,15 +13,21 @@ from flightstack.gap.estimator_bias import is_freed
 from flightstack.gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Samples
-from flightstack.gap.sampled import open_gains, timing_s
+from flightstack.gap.sampled import loop_noise, open_gains, timing_s
 from flightstack.gap.simulate import FreeParameter, evaluated_every, predict, prediction_error, sensitivities, timing
 from flightstack.gap.track import track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
 _GAINS = (FreeParameter("thrust_scale", "scale"), *(FreeParameter("inertia", f"scale_{axis}") for axis in "xyz"))
+_LAG = (FreeParameter("motor_lag", "time_constant_s"),)
 _GAIN_PER_S = np.array([0.05, 1.0, 1.0, 1.0])
 """Of those gains, one standard deviation for each second between samples."""
+_GAIN_PER_NOISE = np.array([250.0, 250.0, 0.0])
+"""Of the torques' gains besides, for each unit of the variance of the commands' noise: of PX4's simulator (0.018 of
+full thrust) moments of inertia came out 5 to 7 % too large, and lags 10 ms too short."""
+_LAG_S_PER_NOISE, _DELAY_S_PER_NOISE = 50.0, 15.0
+"""And of lag and delay with which commands turn into roll and pitch."""
 _FOLDED = ((0, 1, 2), (3,), (4,), (5,))
 """Channels of each part of the commands' noise."""
 _ROWS_PER_CUTOFF = 2.5
@@ -100,14 +106,19 @@ class SimulatorBench:
             gains = np.nan_to_num(sensitivities(vehicle, s, _GAINS, k))
             gains[:, 3:, 0] = 0.0
             shown = track(s).lowpass(base)[::k]
-            gains[:, :, 1:] *= 1.0 + open_gains(shown, change, track(s).usable[::k]) / (_GAIN_PER_S[1:] * s.dt_s)
+            noise = loop_noise(s)
+            more = open_gains(shown, change, track(s).usable[::k]) + _GAIN_PER_NOISE * noise
+            gains[:, :, 1:] *= 1.0 + more / (_GAIN_PER_S[1:] * s.dt_s)
+            lag = np.nan_to_num(sensitivities(vehicle, s, _LAG, k))
+            lag = noise * np.concatenate([_LAG_S_PER_NOISE * lag, _DELAY_S_PER_NOISE * np.nan_to_num(late)], axis=2)
+            lag[:, [0, 1, 2, 5]] = 0.0
             unsure = airspeed.doubt(vehicle, s)[::k]
             off = airspeed.offset_columns(vehicle, s)[::k]
-            columns.append(np.concatenate([late, bent, folded, gains, unsure, off], axis=2))
+            columns.append(np.concatenate([late, bent, folded, gains, lag, unsure, off], axis=2))
             if freed:
                 columns[-1] = np.concatenate([columns[-1], estimator_bias.columns(vehicle, s, k)], axis=2)
         period = float(np.mean([s.dt_s for s in self.flights]))
-        sizes = [timing_s(period), 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist(), 1.0, 1.0]
+        sizes = [timing_s(period), 1.0, *([1.0] * len(_FOLDED)), *(_GAIN_PER_S * period).tolist(), 1.0, 1.0, 1.0, 1.0]
         offsets = [airspeed.offset(s, s.valid) for s in self.flights]
         sizes += np.maximum(np.mean(offsets, axis=0), 1e-6).tolist()  # 0: nothing says how far, and the columns are 0
         at = np.arange(columns[0].shape[2])

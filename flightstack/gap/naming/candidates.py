@@ -8,7 +8,7 @@ how far a good model of a good vehicle is off anyway.  The evidence takes every 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -132,6 +132,17 @@ def has(vehicle: Vehicle, effect: str) -> bool:
     """Whether the effect acts in this vehicle."""
     values = vehicle.effects.get(effect, {})
     return bool(values) and not EFFECTS[effect].is_null(values)
+
+
+def members(group: Sequence[Candidate], effects: Mapping[str, Mapping[str, float]]) -> tuple[int, ...]:
+    """The candidate of each of these effects, of several (faults of other rotors) the one that is most like it."""
+    off = {
+        m: sum(abs(x - effects[c.effect][name]) for name, x in c.variant.items())
+        for m, c in enumerate(group)
+        if c.effect in effects
+    }
+    nearest = {effect: min((m for m in off if group[m].effect == effect), key=lambda m: off[m]) for effect in effects}
+    return tuple(sorted(nearest.values()))
 
 
 def candidates(vehicle: Vehicle) -> tuple[Candidate, ...]:

@@ -7,38 +7,11 @@ are off by one factor (a drag of another day, another frame) that factor is the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import numpy as np
-
-from flightstack.gap.decisions import ALIKE_EVIDENCE, NAME_EVIDENCE
-from flightstack.gap.naming.candidates import has
+from flightstack.gap.decisions import ALIKE_EVIDENCE
+from flightstack.gap.naming.candidates import members
 from flightstack.gap.naming.evidence import fit_subsets
-from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, fit_subset, members
-
-
-def in_proportion(state: SelectionState, effects: Mapping[str, Mapping[str, float]], effect: str) -> float:
-    """Evidence of one factor on an effect of the file beside these effects (less itself); -inf: not in the file."""
-    if not has(state.start, effect):
-        return -np.inf
-    point = state.point
-    own = [i for i, slot in enumerate(point.slots) if point.candidates[slot.candidate].effect == effect]
-    others = {e: values for e, values in effects.items() if e != effect}
-    base = [int(i) for m in members(point.candidates, others) for i in point.columns[m]]
-    gram = point.gram()
-    origin = np.array([point.slots[i].origin for i in own])
-    x = np.zeros((len(gram.b), len(base) + 1))
-    x[base, np.arange(len(base))] = 1.0
-    x[own, -1] = origin
-    k, b = x.T @ gram.k @ x, x.T @ gram.b
-    size = np.sqrt(np.maximum(np.diag(k), 1e-300))
-    scaled = k / np.outer(size, size) + 1e-9 * np.eye(len(b))
-    theta = np.linalg.solve(scaled, b / size) / size
-    moved = theta[-1] * origin
-    if not k[-1, -1] > 0.0 or np.any((moved < point.low[own]) | (moved > point.high[own])):
-        return -np.inf
-    without = np.linalg.solve(scaled[:-1, :-1], b[:-1] / size[:-1]) / size[:-1]
-    return float(theta @ b - without @ b[:-1] - np.log(max(gram.rows, 2.0)))
+from flightstack.gap.naming.proportion import in_proportion, priced
+from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, fit_subset
 
 
 def joined(state: SelectionState, best: Fit) -> Fit:
@@ -64,8 +37,9 @@ def _promised(state: SelectionState, base: Fit) -> list[tuple[float, str]]:
     """Scores with one effect of the file more, where columns as they are show as much of it as a name needs."""
     outside = [e for e in state.start.effects if e not in state.excluded and e not in base.effects]
     known = {candidate.effect for candidate in state.point.candidates}
-    worth = [(in_proportion(state, base.effects, e), e) for e in outside if e in known]
-    return [(base.score - more, effect) for more, effect in worth if more >= NAME_EVIDENCE]
+    worth = [(in_proportion(state.point, state.start, base.effects, e), e) for e in outside if e in known]
+    at = priced(state.point, state.start)
+    return [(base.score - more, effect) for more, effect in worth if more >= at.least_gain - at.factor_price]
 
 
 def _together(state: SelectionState, base: Fit, effect: str) -> Fit:

@@ -13,11 +13,12 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from flightstack.gap.decisions import CLEARLY, LINE_ERROR
+from flightstack.gap.naming.candidates import members
 from flightstack.gap.naming.design import linearise
 from flightstack.gap.naming.estimate import Estimates, estimate
 from flightstack.gap.naming.evidence import fit_subsets, score
 from flightstack.gap.naming.metric import metric_of
-from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, fit_subset, judged_fit, members
+from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, fit_subset, judged_fit
 from flightstack.gap.naming.trifles import mse_increase
 from flightstack.vehicle import Vehicle
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from flightstack.gap.decisions import ALIKE_EVIDENCE
-from flightstack.gap.naming.candidates import has
-from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, fit_from, members
+from flightstack.gap.naming.candidates import has, members
+from flightstack.gap.naming.search import Fit, SelectionState, effects_at_bound, fit_from
 from flightstack.gap.simulate import value, with_value
 
 _OTHERS = ("payload", "inertia", "thrust_scale", "thrust_curve", "motor_lag", "transport_delay", "battery_sag")

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from flightstack.effects import EFFECTS
 from flightstack.gap.decisions import ALIKE_EVIDENCE, LINE_ERROR, LINE_ERROR_SHARE, NAME_EVIDENCE
-from flightstack.gap.naming.candidates import Candidate, at_end, at_physical_end, fitted
+from flightstack.gap.naming.candidates import Candidate, at_end, at_physical_end, fitted, members
 from flightstack.gap.naming.design import Bench, Linearised, RawDesign, linearise, whitened
 from flightstack.gap.naming.evidence import Subset, all_subsets, fit_subsets, nothing, score
 from flightstack.gap.naming.metric import Metric, bounded_step, metric_of
+from flightstack.gap.naming.proportion import priced, spared
 from flightstack.gap.simulate import FreeParameter, value, with_value
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -78,22 +79,29 @@ class SelectionState:
     """Length of the rope that was best with the present columns, 0 before any was looked for."""
     rope_most_m: float = np.inf
     """How high the vehicle flew: a load on a longer rope would have lain on the ground."""
+    margin: float = NAME_EVIDENCE
+    """Evidence that a name needs beyond the price of its coefficients."""
 
     @property
     def best(self) -> Fit:
         """The fit with the least score, of those that stand at no end of what is plausible."""
         return self.fits[self.best_key]
 
+    def fair(self) -> list[Fit]:
+        """The fits that stand at no end of what is plausible."""
+        return [fit for fit in self.fits.values() if self._is_fair(fit)]
+
+    def _is_fair(self, fit: Fit) -> bool:
+        return not (self.excluded & set(fit.effects) or effects_at_bound(self.start, fit, self.rope_most_m))
+
     @property
     def best_key(self) -> frozenset[str]:
         """By which it is kept; what adds less than a name needs is not followed, of others as good the fewest names."""
-        fair = {
-            key: fit.score
-            for key, fit in self.fits.items()
-            if not self.excluded & set(fit.effects) and not effects_at_bound(self.start, fit, self.rope_most_m)
-        }
+        fair = {key: fit.score for key, fit in self.fits.items() if self._is_fair(fit)}
         best = min(fair, key=lambda key: fair[key])
-        as_good = [k for k in fair if fair[k] < fair[best] + (NAME_EVIDENCE if k <= best else ALIKE_EVIDENCE)]
+        as_good = [
+            k for k in fair if fair[k] <= fair[best] + (self.margin if k <= best else min(ALIKE_EVIDENCE, self.margin))
+        ]
         fewest = min(len(key) for key in as_good)
         as_good = [key for key in as_good if key <= best or len(key) == fewest]
         return min(as_good, key=lambda key: (len(key), fair[key]))
@@ -123,14 +131,15 @@ def search(
     *,
     steady: bool = False,
     rope_most_m: float = np.inf,
+    margin: float = NAME_EVIDENCE,
 ) -> SelectionState:
     """The subsets worth a look, fitted; `raw` is of the vehicle as its file has it; `apart`: never together.
 
     `steady`: the noise's colour takes no means with it from the beginning (of a hover a mean is all there is).
-    `rope_most_m`: of `SelectionState`.
+    `rope_most_m`, `margin`: of `SelectionState`.
     """
     start, point = raw.vehicle, whitened(bench, raw, at_start=not steady)
-    state = SelectionState(bench, start, point, metric_of(point), apart=apart, rope_most_m=rope_most_m)
+    state = SelectionState(bench, start, point, metric_of(point), apart=apart, rope_most_m=rope_most_m, margin=margin)
     _fit_all(state, [nothing(len(point.slots))])
     subsets = all_subsets(len(point.candidates), MOST, [c.effect for c in point.candidates])
     scored = _scored(state, [s for s in subsets if _allowed(state, s)])
@@ -187,6 +196,9 @@ def _scored(state: SelectionState, subsets: Sequence[tuple[int, ...]]) -> list[t
     gain, used = np.array([s.gain for s in found]), np.array([s.used for s in found])
     sizes = np.array([len(s.members) for s in found])
     values = np.asarray(gram.c + score(gain, used, sizes, gram.rows, count))
+    at = priced(point, state.start)
+    mixed = [i for i, s in enumerate(subsets) if at.factor.keys() & set(s)]
+    values[mixed] = np.minimum(values[mixed], gram.c + np.array(at.least([subsets[i] for i in mixed])))
     return [(float(values[i]), found[i]) for i in np.argsort(values, kind="stable") if np.isfinite(values[i])]
 
 
@@ -232,17 +244,6 @@ def _swap(state: SelectionState, swaps: Sequence[tuple[tuple[str, str], tuple[st
         _keep(
             state, group, fit_from(state, group, _fit_cable_length(state, vehicle) if new == "slung_load" else vehicle)
         )
-
-
-def members(group: Sequence[Candidate], effects: Mapping[str, Mapping[str, float]]) -> tuple[int, ...]:
-    """The candidate of each of these effects, of several (faults of other rotors) the one that is most like it."""
-    off = {
-        m: sum(abs(x - effects[c.effect][name]) for name, x in c.variant.items())
-        for m, c in enumerate(group)
-        if c.effect in effects
-    }
-    nearest = {effect: min((m for m in off if group[m].effect == effect), key=lambda m: off[m]) for effect in effects}
-    return tuple(sorted(nearest.values()))
 
 
 def _beaten(state: SelectionState, subset: Subset) -> float:
@@ -367,8 +368,8 @@ def judged_fit(
     """A fit with its chi-square and score by the present metric."""
     chi2 = state.metric.chi2(rows)
     points = float(state.metric.rows.sum())
-    price = score(0.0, used, len(effects), points, len(state.point.candidates))
-    return Fit(effects, vehicle, rows, chi2, used, chi2 + float(price), pressed)
+    price = float(score(0.0, used, len(effects), points, len(state.point.candidates)))
+    return Fit(effects, vehicle, rows, chi2, used, chi2 + price - spared(state.point, state.start, effects), pressed)
 
 
 def _best_on_the_way(
