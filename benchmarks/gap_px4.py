@@ -2,6 +2,7 @@
 
     python -m benchmarks.gap_px4 fly DIR [--from N] [--to N]    fly numbers N on the PX4 that PX4_HOME names
     python -m benchmarks.gap_px4 judge DIR [--from N] [--to N]  what `gap` says of their logs
+    python -m benchmarks.gap_px4 bent DIR [--from N] [--to N]   inertia and lag that they show with the truth put in
 
 A flight's number decides its mass, drag, path, length, learning and log profile.  The vehicle file has 1 kg and
 1 kg/s; SIH_MASS and SIH_KDV are drawn from 1 to 1.4 and from 1 to 2.  The ULog lies beside the companion's MCAP.
@@ -28,12 +29,18 @@ from benchmarks.px4.records import Bench
 from benchmarks.px4.station import Px4
 from flightstack.api import load_vehicle
 from flightstack.gap.name import name
+from flightstack.gap.naming import bench as naming_bench
+from flightstack.gap.naming.design import linearise
 from flightstack.gap.naming.estimate import CI
+from flightstack.gap.naming.metric import metric_of
+from flightstack.gap.naming.search import SelectionState, fit_from
 from flightstack.gap.pooled import split
 from flightstack.gap.result import GapResult
+from flightstack.gap.sampled import loop_noise
+from flightstack.gap.simulate import with_value
 from flightstack.gap.workflow import analyse, usable_flights
 from flightstack.types import InputError
-from flightstack.vehicle import Vehicle
+from flightstack.vehicle import Vehicle, with_effects
 
 SEED = 20261124
 FAST, USUAL = 25, 1
@@ -204,10 +211,32 @@ def verdict(said: Judged, case: Case, vehicle: Vehicle, *, lateral: bool) -> str
     return "right: within what the log can tell" if small else "WRONG"
 
 
+def bent(case: Case, vehicle: Vehicle) -> str:
+    """What the noise that a rate loop feeds back makes of the file's own inertia and lag, with nothing left open."""
+    flight = case.flight
+    drag = {f"d_{axis}_kgps": flight.drag_kgps for axis in "xyz"}
+    truth = with_effects(vehicle, {"payload": {"mass_kg": flight.mass_kg - 1.0}, "linear_drag": drag})
+    of = split(usable_flights(case.logs, vehicle), [])
+    noise = max(loop_noise(samples) for samples in of.flights) ** 0.5
+    closed, naming_bench.loop_noise = naming_bench.loop_noise, lambda samples: 0.0
+    try:
+        bench = naming_bench.simulator_bench(truth, of.flights, of.fit, of.holdout)
+        point = linearise(bench, truth, truth)
+        state = SelectionState(bench, truth, point, metric_of(point))
+        words = []
+        for effect in ("inertia", "motor_lag"):
+            group = [candidate for candidate in point.candidates if candidate.effect == effect]
+            fit = fit_from(state, group, with_value(truth, effect, group[0].values(truth)))
+            words += [f"{p} {x:.4g}" for p, x in fit.effects[effect].items()]
+    finally:
+        naming_bench.loop_noise = closed
+    return f"{case.words} | noise {noise:.4f} | " + ", ".join(words)
+
+
 def main() -> int:
     """Fly or judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("deed", choices=("draw", "fly", "judge"))
+    parser.add_argument("deed", choices=("draw", "fly", "judge", "bent"))
     parser.add_argument("out", type=Path)
     parser.add_argument("--from", dest="first", type=int, default=0)
     parser.add_argument("--to", type=int, default=16)
@@ -222,10 +251,13 @@ def main() -> int:
         if given.deed == "fly":
             home = Path(os.environ["PX4_HOME"])
             print(flight, flown(home, given.out, flight, given.instance, tuple(given.prefix.split())), flush=True)
-    if given.deed == "judge":
+    if given.deed in ("judge", "bent"):
         vehicle = load_vehicle(VEHICLE)[0]
         for case in cases(given.out, range(given.first, given.to)):
             if given.only not in case.words:
+                continue
+            if given.deed == "bent":
+                print(bent(case, vehicle), flush=True)
                 continue
             began = time.process_time()
             try:

@@ -17,15 +17,14 @@ from flightstack.cli.certifier_process import CertifierProcess
 from flightstack.cli.flight import FlyOptions, fly
 from flightstack.cli.replay import replay
 from flightstack_logs.reader import read
+from tests.alone import require_one_thread
 
 FLIGHT: dict[str, Any] = {"scenario": "paper-barrier", "seed": 2, "duration_s": 8.0}
 
 
 @pytest.fixture(autouse=True)
 def forking() -> None:
-    """Asked as each begins: a thread that a test before this one left is one that a flight does not fork beside."""
-    if not workshop._may_fork():
-        pytest.skip("one core, or other threads: no process is begun")
+    require_one_thread()
 
 
 class Seen:

@@ -23,7 +23,7 @@ from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate, area_of
 from flightstack.barrier.shapes import value
 from flightstack.barrier.torque import governor_terms
-from flightstack.cli.workshop import Appointed, Workshop, _may_fork
+from flightstack.cli.workshop import Appointed, Workshop
 from flightstack.frames import quat_from_euler
 from flightstack.learning.learner import GpLearner
 from flightstack.model import Limits, Model
@@ -32,6 +32,7 @@ from flightstack.scenario import TimedEvent
 from flightstack.stack import Stack
 from flightstack.types import STANDARD_GRAVITY_MPS2 as G
 from flightstack.types import Filtered, Learned, Measurement, changed
+from tests.alone import require_one_thread
 from tests.closed_loop import ClosedLoopFlight, fly
 
 SCENARIO = load_scenario("paper-barrier")
@@ -305,8 +306,8 @@ def test_in_lockstep_the_very_same_certificate_comes_at_its_appointed_tick_whoev
     there.certificate = kept.issued[-1][1] if in_force else None
     expected = list(OnlineCertifier.work(*asked, here))[-1]
     assert expected is not None
-    if beside and not _may_fork():
-        pytest.skip("one core, or other threads: no process is begun")
+    if beside:
+        require_one_thread()
     appointed = Appointed()
     with appointed if beside else contextlib.nullcontext():
         assert (appointed.process.lost == "") == beside
@@ -326,6 +327,8 @@ def test_in_lockstep_a_certifier_at_fault_is_lost_at_the_appointed_tick(
 ) -> None:
     _, kept = calm
     _, (learner, _, _, _) = kept.last
+    if beside:
+        require_one_thread()
     appointed = Appointed()
     with appointed if beside else contextlib.nullcontext():
         work = appointed.work(kept, learner, None, CertifierState())  # type: ignore[arg-type]

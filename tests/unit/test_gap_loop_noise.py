@@ -13,6 +13,7 @@ from flightstack.gap import pooled
 from flightstack.gap.classes import DRAGS, doubled
 from flightstack.gap.concluded import concluded
 from flightstack.gap.records import Estimate, IdentifiedEffect, Samples
+from flightstack.vehicle import Vehicle
 from tests.gap_flights import as_samples, fly, hidden, wander
 from tests.thorough import thorough
 
@@ -27,10 +28,14 @@ FLIGHTS = [
 ]
 
 
+def loaded(load_kg: float, drag_kgps: float) -> Vehicle:
+    drag = {f"d_{axis}_kgps": drag_kgps for axis in "xyz"}
+    return hidden(SIH, {"payload": {"mass_kg": load_kg}, "linear_drag": drag})
+
+
 def flown(load_kg: float, drag_kgps: float, speed_mps: float, seed: int) -> Samples:
     """Without rate doublets, and sampled at 83 Hz as MAVLink's streams are."""
-    effects = {"payload": {"mass_kg": load_kg}, "linear_drag": {f"d_{axis}_kgps": drag_kgps for axis in "xyz"}}
-    truth, path = hidden(SIH, effects), wander(speed_mps, 3.0)
+    truth, path = loaded(load_kg, drag_kgps), wander(speed_mps, 3.0)
     return as_samples(fly(truth, SIH, path, seconds=40.0, seed=seed, grade="px4-sih", every_ms=12, dither=0.0))
 
 

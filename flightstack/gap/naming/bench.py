@@ -24,8 +24,8 @@ _LAG = (FreeParameter("motor_lag", "time_constant_s"),)
 _GAIN_PER_S = np.array([0.05, 1.0, 1.0, 1.0])
 """Of those gains, one standard deviation for each second between samples."""
 _GAIN_PER_NOISE = np.array([250.0, 250.0, 0.0])
-"""Of the torques' gains besides, for each unit of the variance of the commands' noise: of PX4's simulator (0.018 of
-full thrust) moments of inertia came out 5 to 7 % too large, and lags 10 ms too short."""
+"""Of the torques' gains besides, for each unit of the variance of the commands' noise.  Of PX4's simulator (0.018 of
+full thrust, 8 %) moments of inertia come out 1 to 7 % too large, lags up to 12 ms short (`gap_px4 bent`)."""
 _LAG_S_PER_NOISE, _DELAY_S_PER_NOISE = 50.0, 15.0
 """And of lag and delay with which commands turn into roll and pitch."""
 _FOLDED = ((0, 1, 2), (3,), (4,), (5,))
@@ -109,9 +109,10 @@ class SimulatorBench:
             noise = loop_noise(s)
             more = open_gains(shown, change, track(s).usable[::k]) + _GAIN_PER_NOISE * noise
             gains[:, :, 1:] *= 1.0 + more / (_GAIN_PER_S[1:] * s.dt_s)
-            lag = np.nan_to_num(sensitivities(vehicle, s, _LAG, k))
-            lag = noise * np.concatenate([_LAG_S_PER_NOISE * lag, _DELAY_S_PER_NOISE * np.nan_to_num(late)], axis=2)
-            lag[:, [0, 1, 2, 5]] = 0.0
+            lag = np.zeros((len(late), late.shape[1], 2))
+            if noise:
+                of_lag = [_LAG_S_PER_NOISE * sensitivities(vehicle, s, _LAG, k), _DELAY_S_PER_NOISE * late]
+                lag[:, 3:5] = noise * np.nan_to_num(np.concatenate(of_lag, axis=2)[:, 3:5])
             unsure = airspeed.doubt(vehicle, s)[::k]
             off = airspeed.offset_columns(vehicle, s)[::k]
             columns.append(np.concatenate([late, bent, folded, gains, lag, unsure, off], axis=2))

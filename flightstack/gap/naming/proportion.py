@@ -47,8 +47,10 @@ class Priced:
         return float(np.log(max(self.gram.rows, 2.0)))
 
     def ways(self, subset: Sequence[int]) -> Iterator[tuple[int, ...]]:
-        """The subset with and without factors in place of what the file has, itself first."""
-        return product(*((m, self.factor[m]) if m in self.factor else (m,) for m in subset))
+        """The subset with factors in place of what the file has, of some or of all."""
+        found = product(*((m, self.factor[m]) if m in self.factor else (m,) for m in subset))
+        next(found)  # itself
+        return found
 
     def price(self, fitted: Subset) -> float:
         """What its score has beside chi-square at nothing; infinite where a member has no coefficient left."""
@@ -56,7 +58,7 @@ class Priced:
         return float(score(fitted.gain, fitted.used, names, self.gram.rows, self.count))
 
     def least(self, subsets: Sequence[tuple[int, ...]]) -> list[float]:
-        """The least price of each subset, of all its ways."""
+        """The least price of each subset with factors; infinite where the file has none of it."""
         ways = [(i, way) for i, subset in enumerate(subsets) for way in self.ways(subset)]
         found = fit_subsets(self.gram, [way for _, way in ways], self.columns, self.low, self.high)
         least = [np.inf] * len(subsets)
@@ -101,7 +103,7 @@ def spared(point: Linearised, start: Vehicle, effects: Mapping[str, Mapping[str,
     subset = members(point.candidates, effects)
     whole = at.price(fit_subsets(at.gram, [subset], at.columns, at.low, at.high)[0])
     least = at.least([subset])[0]
-    return whole - least if np.isfinite(whole) else 0.0
+    return max(whole - least, 0.0) if np.isfinite(whole) else 0.0
 
 
 def in_proportion(point: Linearised, start: Vehicle, effects: Mapping[str, Mapping[str, float]], effect: str) -> float:
