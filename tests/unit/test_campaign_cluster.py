@@ -19,6 +19,7 @@ pytest.importorskip("distributed")
 
 from flightstack.cli.campaign.cluster import Cluster
 from flightstack.cli.campaign.run import CampaignOptions, campaign
+from tests.branches import branching
 
 
 class Dask:
@@ -99,6 +100,13 @@ def test_a_scheduler_that_goes_and_comes_back_loses_and_doubles_nothing(dask: Da
     assert _fly(dask, tmp_path, ["slow"] * 16, {5: away_and_back}, workers=1) == ["completed"] * 16
 
 
+@pytest.fixture
+def leaving(request: pytest.FixtureRequest) -> None:
+    """A client that finds no scheduler leaves its thread behind, which Dask alone could end: it goes with the child."""
+    branching(request)
+
+
+@pytest.mark.usefixtures("leaving")
 def test_a_scheduler_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flightstack.cli.campaign.cluster._CONNECT_S", 0.5)
     with socket.socket() as probe:
@@ -109,6 +117,7 @@ def test_a_scheduler_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: 
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.usefixtures("leaving")
 def test_nothing_is_compiled_here_for_a_scheduler_that_is_not_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
