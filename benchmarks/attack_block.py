@@ -54,10 +54,13 @@ class Kind(NamedTuple):
     vehicle: str = "quad-x"
     grade: str = "mocap"
     plant: str = "native"
+    period_ticks: tuple[int, int] = (1, 3)
+    """Ticks of 4 ms between commands: from the first to below the second.  The companion sends every 4 ms."""
 
 
 KINDS = {
     "three axes, mocap": Kind(),
+    "three axes, mocap, commands every 12 ms": Kind(period_ticks=(3, 4)),
     "three axes, mocap, JSBSim": Kind(plant="jsbsim"),
     "vertical, mocap": Kind("paper-barrier"),
     "vertical, mocap, px4-sih": Kind("paper-barrier", "px4-sihsim-quadx"),

@@ -78,8 +78,10 @@ class World:
         return with_effects(true, effects)
 
 
-def draw(seed: int, *, scenario: str, vehicle: str, grade: str, plant: str, late_ms: float) -> World:
-    """The world of a seed; links of 0 to `late_ms` both ways together."""
+def draw(
+    seed: int, *, scenario: str, vehicle: str, grade: str, plant: str, period_ticks: tuple[int, int], late_ms: float
+) -> World:
+    """The world of a seed: links of 0 to `late_ms` both ways together."""
     rng = np.random.default_rng([8, seed])
     direction = rng.normal(size=3)
     wind = rng.uniform(0.0, _FORCE_WEIGHTS) * direction / np.linalg.norm(direction)
@@ -92,5 +94,5 @@ def draw(seed: int, *, scenario: str, vehicle: str, grade: str, plant: str, late
         down_ms=float(link * share), up_ms=float(link * (1.0 - share)),
         jitter_ms=float(rng.uniform(0.0, 4.0)) if late_ms > 0.0 else 0.0,
         delay_error_ms=float(rng.uniform(-2.0, 2.0)),
-        period_ticks=int(rng.integers(1, 4)),
+        period_ticks=int(rng.integers(*period_ticks)),
     )  # fmt: skip
