@@ -23,7 +23,6 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from flightstack.error_statistics import ErrorStatistics
 from flightstack.frames import quat_from_rotation_vector, quat_multiply, rotate
@@ -57,6 +56,8 @@ def steady(statistics: ErrorStatistics, sample_s: float = SAMPLE_S) -> tuple[F64
 
 def _riccati(s: ErrorStatistics, axis: int, dt: float) -> tuple[F64, F64]:
     """One axis' gain (5, 2) and covariance (5, 5)."""
+    from scipy.linalg import solve_discrete_are  # 0.15 s, which whatever only names a certificate need not wait for
+
     fade = [math.exp(-dt / time) for time in (s.pos_time_s, s.vel_time_s, s.acc_time_s)]
     step = np.diag([1.0, 1.0, *fade])
     step[_P, _V], step[_P, _EA], step[_V, _EA] = dt, -0.5 * dt * dt, -dt
