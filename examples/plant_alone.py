@@ -1,6 +1,6 @@
 """Step the plant alone, with a controller of one's own: `python examples/plant_alone.py`."""
 
-from flightstack.testkit import Rates, Vehicle
+from flightstack.testkit import Rates, SteppedVehicle
 
 HEIGHT_M = 2.0
 HOVER = 0.45
@@ -8,7 +8,7 @@ HOVER = 0.45
 
 def fly(seconds: float) -> list[float]:
     """Heights of a vehicle that a proportional-derivative controller brings to HEIGHT_M, one each 4 ms."""
-    vehicle = Vehicle("quad-x", seed=1)
+    vehicle = SteppedVehicle("quad-x", seed=1)
     heights_m, integral = [], 0.0
     truth = vehicle.truth
     while vehicle.now_s < seconds:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .intervals import F64
-from .left import Loop, Way, laid_out, left
+from .left import ClosedLoop, Way, laid_out, left
 from .reading import Refused, Unreadable, number, numbers, table_of
 
 _KIND = "flightstack.stopping/"
@@ -231,7 +231,7 @@ def _left(
     if not across["radius_m"] >= max(way.rest_radius_m for way in ways) - 1e-9:
         raise Refused("across: the tube at rest is the widest of both ways'")
     for name, way in zip(("least", "most")[: len(set(ways))], ways, strict=False):
-        loop = Loop(*[*(across[key] for key in Loop._fields[:5]), turning[0], way.lean_mps2, turning[2]])
+        loop = ClosedLoop(*[*(across[key] for key in ClosedLoop._fields[:5]), turning[0], way.lean_mps2, turning[2]])
         ways_out = [laid_out(way, loop, *motion) for motion in (*_LITTLE, *_MUCH, *_MOVING)]
         found = left(ways_out, loop, sizes)
         little, much, moving = np.split(found, [len(_LITTLE), len(_LITTLE) + len(_MUCH)])

@@ -1,6 +1,6 @@
 """The simulator as a test kit: a vehicle in one's own tests, moved by the test's clock.
 
-`Px4Sim` is what the pytest fixtures `px4_sim` and `px4_fleet` give; it also works without pytest.  `Vehicle` is physics
+`Px4Sim` is what the pytest fixtures `px4_sim` and `px4_fleet` give; it also works without pytest.  `SteppedVehicle` is physics
 and sensors alone.  Nothing heavy is imported before one of them is asked for.
 """
 
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from flightstack.testkit.fleet import Fleet
     from flightstack.testkit.px4_sim import Px4Sim
-    from flightstack.testkit.vehicle import Rates, Vehicle
+    from flightstack.testkit.vehicle import Rates, SteppedVehicle
 
-_HOME = {"Fleet": "fleet", "Px4Sim": "px4_sim", "Rates": "vehicle", "Vehicle": "vehicle"}
-__all__ = ["Fleet", "Px4Sim", "Rates", "Vehicle"]
+_HOME = {"Fleet": "fleet", "Px4Sim": "px4_sim", "Rates": "vehicle", "SteppedVehicle": "vehicle"}
+__all__ = ["Fleet", "Px4Sim", "Rates", "SteppedVehicle"]
 
 
 def __getattr__(name: str) -> Any:

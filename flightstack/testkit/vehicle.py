@@ -27,7 +27,7 @@ class Rates(NamedTuple):
     thrust_norm: float
 
 
-class Vehicle:
+class SteppedVehicle:
     """Physics and sensors of one vehicle, 4 ms a step; the same commands give the same flight, bit for bit.
 
     It starts at rest on the ground at the origin, facing north (NED, metres).  InputError for an unknown vehicle file,

@@ -24,7 +24,7 @@ _PACKAGES = ("flightstack", "flightstack_logs", "flightstack_paper", "flightstac
 _PAGES = ("results.json", "report.html", "table.md")
 
 
-class Parts:
+class PartStore:
     """The folder of one run."""
 
     def __init__(self, out: Path, key: dict[str, Any]) -> None:

@@ -22,7 +22,7 @@ from typing import Any
 from flightstack.cli import files
 from flightstack.cli.versions import versions
 from flightstack.types import InputError
-from flightstack_paper.parts import Parts, sources_hash
+from flightstack_paper.parts import PartStore, sources_hash
 from flightstack_paper.plan import PaperPart, parts_of
 from flightstack_paper.rows import ResultLine, table
 
@@ -77,7 +77,7 @@ def reproduce(
         "version": made_with["flightstack"], "git_commit": made_with["git_commit"], "sources": sources_hash(),
         "seed": options.seed, "quick": options.quick, "plants": list(plants),
     }  # fmt: skip
-    parts = Parts(options.out, key)
+    parts = PartStore(options.out, key)
     began = time.monotonic()
     ensure_compiled(lambda text: on_progress(0.0, text))
     wanted = (
@@ -141,7 +141,10 @@ def _write(
 
 
 def _compute(
-    wanted: list[PaperPart], parts: Parts, stop_requested: Callable[[], str], on_progress: Callable[[float, str], None]
+    wanted: list[PaperPart],
+    parts: PartStore,
+    stop_requested: Callable[[], str],
+    on_progress: Callable[[float, str], None],
 ) -> tuple[dict[str, dict[str, Any]], str]:
     """Every part's result, from the folder or from two processes; and why it was stopped, if it was."""
     results = {part.name: found for part in wanted if (found := parts.load(part.name)) is not None}

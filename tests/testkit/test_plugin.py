@@ -16,7 +16,7 @@ from pymavlink import mavutil
 
 from flightstack.api import read_log
 from flightstack.errors import InputError
-from flightstack.testkit import Px4Sim, Rates, Vehicle
+from flightstack.testkit import Px4Sim, Rates, SteppedVehicle
 from flightstack.testkit.fleet import Fleet
 from flightstack.testkit.px4_sim import Px4Options
 from flightstack_sim.plant import NativePlant
@@ -211,7 +211,7 @@ def test_the_plugin_imports_nothing_heavy() -> None:
 
 
 def test_a_step_is_the_plant_s_own() -> None:
-    vehicle = Vehicle("quad-x", seed=3)
+    vehicle = SteppedVehicle("quad-x", seed=3)
     plant = NativePlant(vehicle._vehicle.plant.vehicle, seed=0)  # no gusts: the seed does not matter
     command = np.array([0.7, 0.7, 0.69, 0.69])
     for _ in range(50):
@@ -226,7 +226,7 @@ def test_a_step_is_the_plant_s_own() -> None:
 
 
 def test_body_rates_are_flown_by_px4s_rate_loop() -> None:
-    vehicle = Vehicle()
+    vehicle = SteppedVehicle()
     for _ in range(100):
         vehicle.step(Rates((0.0, 0.0, 0.0), 0.8))
     for _ in range(100):

@@ -23,7 +23,7 @@ from flightstack.site.stopping import Prior, stopping
 from flightstack_sim.grade import load_grade
 from tests.thorough import ONLY_THEN
 
-LOOP = left.Loop(3.0, 6.0, 4.0, 0.03, 0.03, 20.0, 6.0, 12.0)
+LOOP = left.ClosedLoop(3.0, 6.0, 4.0, 0.03, 0.03, 20.0, 6.0, 12.0)
 
 
 def _ways(count: int, steps: int) -> list[np.ndarray]:

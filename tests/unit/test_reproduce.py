@@ -14,7 +14,7 @@ import pytest
 from flightstack.cli.main import main
 from flightstack_paper.figures import FIGURES
 from flightstack_paper.page import markdown, page
-from flightstack_paper.parts import Parts, sources_hash
+from flightstack_paper.parts import PartStore, sources_hash
 from flightstack_paper.plan import PaperPart, parts_of
 from flightstack_paper.rows import ResultLine, ResultTable, table
 from flightstack_paper.run import ReproduceOptions, ReproduceResult, reproduce
@@ -31,22 +31,22 @@ KEY = {"version": "1", "git_commit": "abc", "sources": "x", "seed": 0, "quick": 
 
 
 def test_a_part_is_taken_up_by_the_same_run_and_by_no_other(tmp_path: Path) -> None:
-    Parts(tmp_path, KEY).save("one", {"x": 1.5})
-    assert Parts(tmp_path, KEY).load("one") == {"x": 1.5}
+    PartStore(tmp_path, KEY).save("one", {"x": 1.5})
+    assert PartStore(tmp_path, KEY).load("one") == {"x": 1.5}
     for name, other in (("seed", 1), ("quick", False), ("git_commit", "def"), ("sources", "y"), ("plants", ["jsbsim"])):
-        Parts(tmp_path, KEY).save("one", {"x": 1.5})
-        assert Parts(tmp_path, {**KEY, name: other}).load("one") is None
+        PartStore(tmp_path, KEY).save("one", {"x": 1.5})
+        assert PartStore(tmp_path, {**KEY, name: other}).load("one") is None
         assert not list((tmp_path / "parts").glob("*.json"))
 
 
 def test_another_run_leaves_no_page_and_no_figure_behind_and_touches_nothing_else(tmp_path: Path) -> None:
-    Parts(tmp_path, KEY).save("one", {})
+    PartStore(tmp_path, KEY).save("one", {})
     flown = tmp_path / "parts" / "one"
     flown.mkdir()
     (flown / "flight.mcap").write_text("log")
     for name in ("results.json", "report.html", "table.md", "fig1-example1.png", "notes.txt"):
         (tmp_path / name).write_text("old")
-    Parts(tmp_path, {**KEY, "seed": 7})
+    PartStore(tmp_path, {**KEY, "seed": 7})
     assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "parts"]
     assert not flown.exists()
 
@@ -56,7 +56,7 @@ def test_a_part_that_was_cut_off_is_computed_again(tmp_path: Path, content: str)
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "one.json").write_text(content)
     (tmp_path / "parts" / "two.json.part").write_text('{"key": ')
-    parts = Parts(tmp_path, KEY)
+    parts = PartStore(tmp_path, KEY)
     assert parts.load("one") is None
     assert list((tmp_path / "parts").iterdir()) == []
 

@@ -89,7 +89,7 @@ def _left_and_claimed(made: StoppingCertificate, row: F64, motions: Sequence[tup
     """How far ways are left by the checker's own search, and the product's radius."""
     across = made.across.gains
     way = left.Way(*(float(row[at]) for at in _WAY.values()))
-    loop = left.Loop(
+    loop = left.ClosedLoop(
         *across, *made.lags_s[0], made.turning.sure_mps4, way.lean_mps2,
         min(made.turning.rate_radps * STANDARD_GRAVITY_MPS2, 2.0 * way.jerk_mps3),
     )  # fmt: skip
