@@ -15,12 +15,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.frames import quat_to_matrix
 from flightstack.learning.watch import LAGS
 from flightstack.model import Model
-from flightstack.types import F64
+from flightstack.types import F64, Mask
 
 STAGES = ("nothing learned", "calculable", "valid", "used", "used but frozen")
 """What `Learned.stage` 0..4 means."""
@@ -79,7 +78,7 @@ def coverage(truth: F64, mean: F64, sigma: F64, sigmas: float = BOUND_SIGMAS) ->
     """How often `truth` lies within `sigmas` times `sigma` of `mean`, all (n, 3); what is not finite doesn't count."""
     known = np.isfinite(truth) & np.isfinite(mean) & np.isfinite(sigma)
     with np.errstate(invalid="ignore"):
-        inside: NDArray[np.bool_] = np.abs(truth - mean) <= sigmas * sigma
+        inside: Mask = np.abs(truth - mean) <= sigmas * sigma
     whole = known.all(axis=1)
     x, y, z = (_share(inside[known[:, axis], axis]) for axis in range(3))
     return Coverage(_share(inside[known]), (x, y, z), _share(np.all(inside[whole], axis=1)))
@@ -123,5 +122,5 @@ def _noise_variance(error: F64) -> F64:
     return noise
 
 
-def _share(inside: NDArray[np.bool_]) -> float | None:
+def _share(inside: Mask) -> float | None:
     return float(inside.mean()) if inside.size else None

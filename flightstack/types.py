@@ -24,6 +24,8 @@ from flightstack.errors import InputError as InputError
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 Tuple3 = tuple[float, float, float]
 Tuple4 = tuple[float, float, float, float]
 

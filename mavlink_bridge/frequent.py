@@ -15,12 +15,11 @@ from itertools import permutations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.consistency import JUMP_M, watch_attitude, watch_imu, watch_position
 from flightstack.jit import Entry, njit
 from flightstack.predictor import take_attitude, take_imu, take_motors, take_position
-from flightstack.types import F64, Tuple3
+from flightstack.types import F64, U8, Tuple3
 from mavlink_bridge import messages as m
 from mavlink_bridge.codec import Row, Wire
 from mavlink_bridge.command_latency import SENT, compare_report
@@ -181,7 +180,7 @@ def _has(order: int, number: int) -> bool:
 
 
 @njit
-def _decode(number: int, payload: NDArray[np.uint8], row: F64) -> bool:
+def _decode(number: int, payload: U8, row: F64) -> bool:
     """A message's numbers into the row; False where one is not as usual."""
     floats, words, longs = payload.view(np.float32), payload.view(np.uint32), payload.view(np.uint64)
     at = _PLACES[number]

@@ -25,11 +25,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from flightstack.jit import njit_called
-from flightstack.types import F64
+from flightstack.types import F64, I64
 
 STATEMENT = (
     "If the true function is a draw of the stated kernel, noise is Gaussian and sampling does not depend on past "
@@ -61,7 +60,7 @@ class Colour(NamedTuple):
         return cls(np.full(outputs, LEAST_INFLATION), np.zeros(outputs))
 
 
-def colour(residual: F64, spans_us: NDArray[np.int64], noise_var: float) -> Colour:
+def colour(residual: F64, spans_us: I64, noise_var: float) -> Colour:
     """From residuals (n, P) of windows with their stamps (n, 2), in the order of time."""
     if len(residual) < 2 * BLOCK:  # too few to say anything of their colour
         return Colour.white(residual.shape[1])
@@ -71,7 +70,7 @@ def colour(residual: F64, spans_us: NDArray[np.int64], noise_var: float) -> Colo
     return Colour(np.array([each[0] for each in found]), np.array([each[1] for each in found]))
 
 
-def _of_one(residual: F64, runs: NDArray[np.int64], noise_var: float) -> tuple[float, float]:
+def _of_one(residual: F64, runs: I64, noise_var: float) -> tuple[float, float]:
     longest = min(LONGEST_BLOCK, len(residual) - 1)
     covariance = _lagged(residual, runs, longest)
     share = covariance / max(covariance[0], 1e-300)
@@ -90,7 +89,7 @@ def _of_one(residual: F64, runs: NDArray[np.int64], noise_var: float) -> tuple[f
 
 
 @njit_called
-def _lagged(residual: F64, runs: NDArray[np.int64], lags: int) -> F64:
+def _lagged(residual: F64, runs: I64, lags: int) -> F64:
     """(lags,) mean product of residuals so many windows apart; 0 where there are none."""
     found = np.zeros(lags)
     for lag in range(lags):
@@ -103,7 +102,7 @@ def _lagged(residual: F64, runs: NDArray[np.int64], lags: int) -> F64:
     return found
 
 
-def _block_means(residual: F64, runs: NDArray[np.int64], block: int) -> F64:
+def _block_means(residual: F64, runs: I64, block: int) -> F64:
     """Of blocks of windows without a gap, one after the other."""
     starts = np.arange(0, len(residual) - block + 1, block)
     whole = starts[runs[starts] == runs[starts + block - 1]]

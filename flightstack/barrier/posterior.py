@@ -30,7 +30,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from flightstack.barrier.confidence import ALLOWANCE, colour
@@ -45,7 +44,7 @@ from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.learning.sampler import GROUND, THRUST, D
 from flightstack.learning.store import INFLATION, Evidence, Store
 from flightstack.model import Model
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack.types import F64, I64, STANDARD_GRAVITY_MPS2
 
 __all__ = ["Accelerations", "Drift", "Live", "Posterior", "Process", "sized_steps"]
 
@@ -73,7 +72,7 @@ class Posterior:
         self.process, self._program = process, process.kernel.program(process.x.shape[1])
         self._gram = lower_triangle(process.kernel, process.x) if gram is None else gram
         self._together = together
-        self._linear: tuple[NDArray[np.int64], F64, F64] | None = None
+        self._linear: tuple[I64, F64, F64] | None = None
         self._factor, failed = lapack.dpotrf(self._noisy(0.0), lower=1, clean=0, overwrite_a=1)
         if failed:  # points that coincide to the last digit: a little more noise
             size = float(np.trace(self._gram)) + len(self._gram) * (process.noise_var + process.drift.variance)
@@ -137,7 +136,7 @@ class Posterior:
         noisier = replace(self.process, noise_var=share * self.process.noise_var)
         return Posterior(noisier, self._gram, self._together)
 
-    def _drifted(self, spans_us: NDArray[np.int64]) -> F64:
+    def _drifted(self, spans_us: I64) -> F64:
         """(M, P) what noise has most likely wandered to in windows with these stamps (M, 2)."""
         process = self.process
         if process.drift.variance == 0.0:
@@ -187,7 +186,7 @@ class Posterior:
             known += np.einsum("ij,ij->i", linear @ (solved_slopes.T @ solved_slopes), linear)
         return mean, np.maximum(program.diagonal(self._program, np.ascontiguousarray(x)) - known, 0.0)
 
-    def _solved_slopes(self) -> tuple[NDArray[np.int64], F64, F64]:
+    def _solved_slopes(self) -> tuple[I64, F64, F64]:
         """Columns in which the kernel is linear and no more, slopes (N, columns) of covariances along them, solved."""
         columns, variances = linear_columns(self._program, self.process.x.shape[1])
         slopes = np.asfortranarray(self.process.x[:, columns] * variances)

@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.barrier.confidence import Colour
 from flightstack.gp import Kernel
 from flightstack.learning.store import INFLATION, Evidence, Store
-from flightstack.types import F64
+from flightstack.types import F64, I64
 
 DRIFT_S = 2.0
 
@@ -23,7 +22,7 @@ class Drift(NamedTuple):
     """(m/s^2)^2; 0: none."""
     time_s: float = DRIFT_S
 
-    def between(self, one_us: NDArray[np.int64], other_us: NDArray[np.int64]) -> F64:
+    def between(self, one_us: I64, other_us: I64) -> F64:
         """(M, N) covariances of windows that end at these stamps, (M,) and (N,)."""
         apart = np.abs(one_us[:, None] - other_us[None, :])
         found: F64 = self.variance * np.exp(-1e-6 / self.time_s * apart)
@@ -47,7 +46,7 @@ class Process:
     """(P,) variance that the kernel does not know, (m/s^2)^2, with the learner's inflation."""
     colour: Colour = field(default_factory=lambda: Colour.white(1))
     """Factors on the posterior standard deviation, and remainders."""
-    spans_us: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    spans_us: I64 = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     """(N, 2) stamps of the first and last sample of each point's window; none where it is not known."""
     drift: Drift = _STEADY
     """None where the stamps are not known."""
@@ -61,7 +60,7 @@ class Process:
         return cls(store.gp.kernel, store.gp.noise_var, x, y, excess, Colour.white(len(excess)))
 
     @classmethod
-    def resting_on(cls, evidence: Evidence, chosen: NDArray[np.int64] | None = None) -> Process:
+    def resting_on(cls, evidence: Evidence, chosen: I64 | None = None) -> Process:
         """As many points as a store holds, that reach as far as all of the evidence; `chosen`: which, where known."""
         chosen = evidence.chosen(evidence.capacity) if chosen is None else chosen
         x, y, spans_us = evidence.places[chosen], evidence.values[chosen], evidence.spans_us[chosen]

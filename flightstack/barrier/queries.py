@@ -8,12 +8,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.query_inputs import proximity
 from flightstack.barrier.records import Budget
-from flightstack.types import F64
+from flightstack.types import F64, I64
 
 _SIGNS = np.array([[a, b, c, d] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1) for d in (-1, 1)], np.float64)
 _BY_THRUST = np.concatenate([[0], 1 + np.lexsort(_SIGNS[:, [1, 3, 2, 0]].T)])
@@ -93,7 +92,7 @@ class Queries(NamedTuple):
     """(n, 2, q) what thrust does by the vertical gain, which a lateral offset leaves out."""
     wanted_mps2: tuple[float, float]
     """W of a lateral axis."""
-    order: NDArray[np.int64]
+    order: I64
     """(n 2 q,) of all in a row: those that differ in thrust alone stand side by side, which is quicker to answer."""
 
 

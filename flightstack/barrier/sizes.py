@@ -25,9 +25,8 @@ import math
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from flightstack.gp.program import I64
 from flightstack.jit import njit_called
-from flightstack.types import F64
+from flightstack.types import F64, I64
 
 SHARES = tuple(4.0**-i for i in range(6))
 _LEFT = 1e-4

@@ -11,10 +11,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .condition import E_HIGH, E_LOW, SLACK, V_HIGH, V_LOW, Condition
-from .intervals import F64
+from .intervals import F64, I64, Mask
 from .reading import Refused
 
 _SPLITS = 40
@@ -36,8 +35,8 @@ class Boxes:
     u: F64
     target: F64
     reach: F64
-    barred: NDArray[np.bool_]
-    cell: NDArray[np.int64]
+    barred: Mask
+    cell: I64
 
     def take(self, pick: Any) -> Boxes:
         """Some of them."""
@@ -73,7 +72,7 @@ def _settle(condition: Condition, todo: Boxes, unit: tuple[float, float], name: 
     raise Refused(f"{name}: {what} at e {e0:.9g} to {e1:.9g} m, v {v0:.9g} to {v1:.9g} m/s")
 
 
-def _open(condition: Condition, todo: Boxes, start: int) -> NDArray[np.bool_]:
+def _open(condition: Condition, todo: Boxes, start: int) -> Mask:
     """Which boxes of the next `_AT_ONCE` from `start` on are not proven yet."""
     part = slice(start, start + _AT_ONCE)
     low = condition.lowest(todo.box[part], todo.u[part], todo.reach[:, part])

@@ -27,9 +27,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .intervals import F64, Interval
+from .intervals import F64, Interval, Mask
 
 SLACK = 1e-9
 """What two correct computations in float64 may differ by: in q (1/s), in h, in accelerations (m/s^2)."""
@@ -207,7 +206,7 @@ class Condition:
             found = np.minimum(found, best)
         return found
 
-    def outside(self, boxes: F64) -> NDArray[np.bool_]:
+    def outside(self, boxes: F64) -> Mask:
         """(k,) whether no point of a box has h >= edge."""
         highest = np.min([piece.highest(boxes) for piece in self.pieces], axis=0)
         return np.asarray(highest < self.edge + SLACK)

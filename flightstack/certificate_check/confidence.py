@@ -18,9 +18,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .intervals import F64
+from .intervals import F64, I64
 from .reading import Refused, Unreadable, number, table_of
 
 STATEMENT = (
@@ -50,7 +49,7 @@ def check_confidence(value: Any, delta: float, k: float) -> None:
         raise Refused("confidence.k is not k_sigma")
 
 
-def peak(residual: F64, last: NDArray[np.int64]) -> float:
+def peak(residual: F64, last: I64) -> float:
     """Of the spectrum of residuals (n,) of windows that end with these samples."""
     runs = np.concatenate([[0], np.cumsum(np.diff(last) > 15 + _GAP)])
     products = []
@@ -64,7 +63,7 @@ def peak(residual: F64, last: NDArray[np.int64]) -> float:
     return float(found.max())
 
 
-def check_colour(residual: F64, last: NDArray[np.int64], noise_var: float, inflation: float, excess: float) -> float:
+def check_colour(residual: F64, last: I64, noise_var: float, inflation: float, excess: float) -> float:
     """The spectrum's peak; refused where noise and inflation do not reach it."""
     most = peak(residual, last)
     if not noise_var * inflation**2 + excess >= most * (1.0 - _OPEN):

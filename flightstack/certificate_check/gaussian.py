@@ -8,9 +8,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .intervals import F64
+from .intervals import F64, I64
 from .reading import Refused, column, number
 
 _AT_ONCE = 300
@@ -56,7 +55,7 @@ def factor(spec: Any, x: F64, noise: F64, where: str) -> F64:
     return np.asarray(np.linalg.cholesky(kernel(spec, x, x, where) + noise), np.float64)
 
 
-def wandering(drift: tuple[float, float], one_us: NDArray[np.int64], other_us: NDArray[np.int64]) -> F64:
+def wandering(drift: tuple[float, float], one_us: I64, other_us: I64) -> F64:
     """(m, n) covariances of noise that wanders, of a variance and a time (s), between stamps (m,) and (n,)."""
     variance, time_s = drift
     apart = np.abs(one_us[:, None] - other_us[None, :])

@@ -33,12 +33,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import floors
 from .box import Box
 from .gaussian import factor, kernel, posterior, wandering
-from .intervals import F64
+from .intervals import F64, I64
 from .reading import Refused, number, numbers, rows, stamps, table_of
 from .together import Asked, check_together
 
@@ -73,12 +72,12 @@ class StatedProcess:
     x: F64
     y: F64
     noise_var: float
-    windows_us: NDArray[np.int64]
+    windows_us: I64
     """(n, 2) of each point, or none."""
     drift: tuple[float, float] = (0.0, 1.0)
     """Variance and time (s) of what noise wanders by."""
 
-    def drifted(self, last_us: NDArray[np.int64]) -> F64:
+    def drifted(self, last_us: I64) -> F64:
         """(m, outputs) what noise has most likely wandered to in windows that end at these stamps."""
         if self.drift[0] == 0.0:
             return np.zeros((len(last_us), self.y.shape[1]))

@@ -15,10 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .intervals import F64
+from .intervals import F64, I64
 
 _C = NDArray[np.complex128]
-_I = NDArray[np.int64]
 _STEP_S, _STILL_S, _OBSERVER_S, _LONGEST = 0.01, 2.5, 0.1, 768
 _ASKED_SHARE, _TURN_SHARE, _SEEN_SHARE, _LEAD_S = 0.5, 0.5, 0.85, 0.05
 _LEAN_GAIN_PS, _JERK_GAIN_PS = 8.0, 20.0
@@ -39,7 +38,7 @@ _SIDE_BY_SIDE, _AT_ONCE = 21_000, 32
 _ROUNDS, _SHARES, _ENOUGH, _PASSED_ON = 6, (1.0, 0.4, 0.15), 0.9, 2
 
 
-class Loop(NamedTuple):
+class ClosedLoop(NamedTuple):
     """What follows a way, and what it has to turn with; as the file names it."""
 
     acc_ps: float
@@ -97,7 +96,7 @@ def _cut(z: complex, most: float) -> complex:
     return z * min(1.0, most / max(abs(z), 1e-9))
 
 
-def laid_out(way: Way, loop: Loop, v: complex, a: complex, j: complex = 0j) -> _C:
+def laid_out(way: Way, loop: ClosedLoop, v: complex, a: complex, j: complex = 0j) -> _C:
     """(n, 5) place, velocity, lean, rate that is asked for, the one that there is (at first both are j); at rest for a
     while at its end; empty: it does not rest, or turns too fast."""
     p, s, asked, rows = 0j, 0j, j, []
@@ -135,13 +134,13 @@ class _Lanes(NamedTuple):
 
     laid: _C
     """(n, 5, ways)."""
-    way: _I
-    last: _I
+    way: I64
+    last: I64
     """Of each lane its way, and the step at which it ends."""
-    running: _I
+    running: I64
     """How many lanes there are at each step."""
 
-    def of(self, some: _I) -> _Lanes:
+    def of(self, some: I64) -> _Lanes:
         """Some of them, in order."""
         last = self.last[some]
         running = np.searchsorted(-last, -np.arange(len(self.laid)), side="left")
@@ -154,7 +153,7 @@ class _Courses(NamedTuple):
     inputs: _C
     first: _C
 
-    def between(self, share: float, bounds: _Courses, lanes: _I) -> _Courses:
+    def between(self, share: float, bounds: _Courses, lanes: I64) -> _Courses:
         """For some lanes, a share of the way to other ones; step by step, for all of them at once are large."""
         found = bounds.of(lanes)
         for part, mine in zip(found, self, strict=True):
@@ -165,11 +164,11 @@ class _Courses(NamedTuple):
                 part[some] += here
         return found
 
-    def of(self, lanes: _I) -> _Courses:
+    def of(self, lanes: I64) -> _Courses:
         """Those of some lanes."""
         return _Courses(self.inputs.take(lanes, axis=-1), self.first.take(lanes, axis=-1))
 
-    def take(self, lanes: _I, other: _Courses, which: _I) -> None:
+    def take(self, lanes: I64, other: _Courses, which: I64) -> None:
         """Some of other ones for some lanes, in place."""
         for mine, theirs in zip(self, other, strict=True):
             _take(mine, lanes, theirs, which)
@@ -179,7 +178,7 @@ def _steps(of: _C) -> Iterator[slice]:
     return (slice(k, k + _AT_ONCE) for k in range(0, len(of), _AT_ONCE))
 
 
-def _take(mine: _C, lanes: _I, theirs: _C, which: _I) -> None:
+def _take(mine: _C, lanes: I64, theirs: _C, which: I64) -> None:
     for some in _steps(mine):
         mine[some][..., lanes] = theirs[some].take(which, axis=-1)
 
@@ -218,7 +217,7 @@ def _bounded(z: _C, most: float) -> _Part:
     return _Part(z, size, np.minimum(1.0, most / size))
 
 
-def _gains(loop: Loop) -> tuple[float, float, float, float, float]:
+def _gains(loop: ClosedLoop) -> tuple[float, float, float, float, float]:
     """Lean by place and by velocity; what missing turning and the snap that there is ask for; how late it is."""
     late = 1.0 + _LEAD_S * loop.rotors_s / loop.lag_s**2
     late_s = loop.lag_s * late / (1.0 + _LEAD_S / loop.lag_s) + loop.rotors_s / late
@@ -228,7 +227,7 @@ def _gains(loop: Loop) -> tuple[float, float, float, float, float]:
     )  # fmt: skip
 
 
-def _snap(x: _C, u: _C, at: _C, loop: Loop) -> _Snap:
+def _snap(x: _C, u: _C, at: _C, loop: ClosedLoop) -> _Snap:
     """x (6, lanes)."""
     by_place, by_velocity, lead, damped, late_s = _gains(loop)
     back = by_velocity * (at[_V] - x[_V] - u[_EV]) + by_place * (at[_P] - x[_P] - u[_EP])
@@ -244,7 +243,7 @@ def _snap(x: _C, u: _C, at: _C, loop: Loop) -> _Snap:
     return _Snap(wanted.share * wanted.z, backs, leant, shorts, stopped, wanted)
 
 
-def _turning_slope(snap: _Snap, loop: Loop) -> F64:
+def _turning_slope(snap: _Snap, loop: ClosedLoop) -> F64:
     """`_Part.cut` of what is short."""
     _, size, share = snap.short
     most, late_s = _TURN_SHARE * loop.snap_mps4, _gains(loop)[-1]
@@ -261,7 +260,7 @@ def _felt(of: _Part, slope: F64, g: _C) -> _C:
     return felt
 
 
-def _run(lanes: _Lanes, courses: _Courses, loop: Loop) -> _C:
+def _run(lanes: _Lanes, courses: _Courses, loop: ClosedLoop) -> _C:
     """(steps + 1, 6, lanes) states; after a lane's end they are not worked out."""
     x = np.zeros((len(courses.inputs) + 1, 6, len(lanes.way)), dtype=np.complex128)
     begins, first = lanes.laid[0][:, lanes.way], courses.first
@@ -280,7 +279,7 @@ def _run(lanes: _Lanes, courses: _Courses, loop: Loop) -> _C:
     return x
 
 
-def _uphill(lanes: _Lanes, courses: _Courses, x: _C, toward: _C, loop: Loop) -> _Courses:
+def _uphill(lanes: _Lanes, courses: _Courses, x: _C, toward: _C, loop: ClosedLoop) -> _Courses:
     """By each input, and by what is so at first, the way in which the place at a lane's end grows along `toward`."""
     g, up, follows = np.zeros_like(x[0]), np.zeros_like(courses.inputs), 1.0 - np.exp(-_STEP_S / loop.rotors_s)
     by_place, by_velocity, lead, damped, _ = _gains(loop)
@@ -316,7 +315,7 @@ def _away(lanes: _Lanes, x: _C) -> _C:
     return found
 
 
-def _driven(lanes: _Lanes, courses: _Courses, sizes: F64, loop: Loop) -> tuple[F64, _Courses]:
+def _driven(lanes: _Lanes, courses: _Courses, sizes: F64, loop: ClosedLoop) -> tuple[F64, _Courses]:
     """How far lanes are driven from where their courses begin, uphill, and the courses that do it, in place."""
     x = _run(lanes, courses, loop)
     away = _away(lanes, x)
@@ -343,7 +342,7 @@ def _driven(lanes: _Lanes, courses: _Courses, sizes: F64, loop: Loop) -> tuple[F
     return np.abs(away), courses
 
 
-def _lanes(laid: _C, lengths: _I, copies: int) -> _Lanes:
+def _lanes(laid: _C, lengths: I64, copies: int) -> _Lanes:
     """Some for each moment of each way; a moment's lie side by side, way by way within them."""
     last = (np.array(_MOMENTS)[:, None, None] * lengths[None, :, None]).astype(np.int64)
     last = np.broadcast_to(last, (len(_MOMENTS), len(lengths), copies)).reshape(-1)
@@ -351,7 +350,7 @@ def _lanes(laid: _C, lengths: _I, copies: int) -> _Lanes:
     return _Lanes(laid, ways, last, np.array([]))
 
 
-def _sorted(lanes: _Lanes) -> tuple[_Lanes, _I]:
+def _sorted(lanes: _Lanes) -> tuple[_Lanes, I64]:
     """Those that end last first, and the order."""
     order = np.argsort(-lanes.last, kind="stable")
     return lanes.of(order), order
@@ -368,7 +367,7 @@ def _first_courses(lanes: _Lanes, sizes: F64) -> _Courses:
     return _Courses(inputs * sizes[None, :, None], first)
 
 
-def left(ways: list[_C], loop: Loop, sizes: F64) -> F64:
+def left(ways: list[_C], loop: ClosedLoop, sizes: F64) -> F64:
     """How far some ways (`laid_out`) are left; sizes: force, what no sensor shows, place, velocity.  0 where there is
     no way.  Long ways, as of a vehicle with GPS, some at a time, or they would not fit into the checker's memory."""
     result, there = np.zeros(len(ways)), np.array([k for k, each in enumerate(ways) if len(each)], dtype=np.int64)
@@ -379,7 +378,7 @@ def left(ways: list[_C], loop: Loop, sizes: F64) -> F64:
     return result
 
 
-def _left(rows: list[_C], loop: Loop, sizes: F64) -> F64:
+def _left(rows: list[_C], loop: ClosedLoop, sizes: F64) -> F64:
     """The same of as many as are looked at side by side."""
     lengths = np.array([len(each) for each in rows])
     laid = np.stack([np.concatenate([w, np.repeat(w[-1:], lengths.max() - len(w), axis=0)]) for w in rows], axis=2)

@@ -26,12 +26,11 @@ import tomllib
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .autopilot import check_autopilot
 from .confidence import check_colour
 from .gaussian import posterior
-from .intervals import F64
+from .intervals import F64, I64
 from .knowledge import StatedKnowledge, StatedProcess
 from .log import FlightRecording, read_log
 from .reading import Refused, Unreadable, table_of
@@ -186,7 +185,7 @@ def _check_points(known: StatedKnowledge, found: DerivedSamples) -> str:
     return f"points: {' and '.join(str(len(s.x)) for s in known.stores)} derived anew from their windows in the log"
 
 
-def all_windows(found: DerivedSamples, from_us: int) -> tuple[F64, F64, NDArray[np.int64]]:
+def all_windows(found: DerivedSamples, from_us: int) -> tuple[F64, F64, I64]:
     """x (n, 7), y (n, 3) and last sample (n,) of windows of fit samples one after the other, from a stamp on."""
     run, ends = 0, list[int]()
     for i in range(int(np.searchsorted(found.t_us, from_us)), len(found.fit)):

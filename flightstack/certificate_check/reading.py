@@ -8,10 +8,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import bounds
-from .intervals import F64
+from .intervals import F64, I64
 
 SCHEMA = "flightstack.certificate/6"
 
@@ -119,7 +118,7 @@ def unsealed(text: str) -> dict[str, Any]:
     return data
 
 
-def stamps(value: Any, count: int, where: str) -> NDArray[np.int64]:
+def stamps(value: Any, count: int, where: str) -> I64:
     """(n, 2) stamps; none where none are named."""
     if value == []:
         return np.zeros((0, 2), np.int64)

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .intervals import F64
+from .intervals import F64, I64, Mask
 from .log import FlightRecording, Table
 from .reading import Refused, Unreadable
 
@@ -112,7 +111,7 @@ def _plain(table: dict[str, Any]) -> dict[str, Any]:
 class Ticks:
     """A log's ticks from the learner's first on."""
 
-    t_us: NDArray[np.int64]
+    t_us: I64
     tick: Table
     norm: F64
     rates: F64
@@ -155,12 +154,12 @@ class Ticks:
 class DerivedSamples:
     """Of each tick with a new sample of force that something was learned from, in their order."""
 
-    t_us: NDArray[np.int64]
+    t_us: I64
     x: F64
     """(n, 7)."""
     y: F64
     """(n, 3) tilt axes, m/s^2."""
-    fit: NDArray[np.bool_]
+    fit: Mask
     force_z: F64
     """Measured, m/s^2."""
     dt_s: F64
@@ -223,7 +222,7 @@ def _before(imu_s: F64) -> F64:
     return out
 
 
-def _sent(ticks: Ticks, believed: Believed, keep: NDArray[np.bool_]) -> tuple[F64, F64]:
+def _sent(ticks: Ticks, believed: Believed, keep: Mask) -> tuple[F64, F64]:
     """(n,) when the command before each tick was sent, s, and its collective as the motors say that it was applied."""
     first = believed.norm(believed.mass_kg * G)
     norm = np.concatenate([[first], ticks.norm[:-1]])
@@ -232,9 +231,9 @@ def _sent(ticks: Ticks, believed: Believed, keep: NDArray[np.bool_]) -> tuple[F6
     return sent_us[keep] * 1e-6, np.where(share == 1.0, norm, np.minimum(norm * share, 1.0))[keep]
 
 
-def _applied(norm: F64, motors: F64, dt_us: F64, believed: Believed, keep: NDArray[np.bool_]) -> F64:
+def _applied(norm: F64, motors: F64, dt_us: F64, believed: Believed, keep: Mask) -> F64:
     """(n,) applied over sent, as the motors' reports have it on average."""
-    told: NDArray[np.bool_] = np.all((motors >= 0.0) & (motors <= 1.0), axis=1)
+    told: Mask = np.all((motors >= 0.0) & (motors <= 1.0), axis=1)
     mean = believed.thrust_n(motors).mean(axis=1)
     recent = sent = measured = 0.0
     out = np.ones(len(norm))

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.gp.kernels import Kernel
-from flightstack.gp.program import I64, LINEAR, WORK_ROWS, Program, row
+from flightstack.gp.program import LINEAR, WORK_ROWS, Program, row
 from flightstack.jit import njit_called
-from flightstack.types import F64
+from flightstack.types import F64, I64
 
 _BLOCK = 8
 """Rows that are written at once: as many numbers as a line of the cache holds."""

@@ -17,12 +17,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.jit import njit, njit_called, njit_vector
-from flightstack.types import F64, InputError
-
-I64 = NDArray[np.int64]
+from flightstack.types import F64, I64, InputError
 
 LINEAR, SQUARED_EXPONENTIAL, MATERN12, MATERN32, MATERN52 = 0, 1, 2, 3, 4
 MATERN = {0.5: MATERN12, 1.5: MATERN32, 2.5: MATERN52}

@@ -11,9 +11,8 @@ import numpy as np
 
 from flightstack.gp import program, store
 from flightstack.gp.panel import multiply, write_column
-from flightstack.gp.store import I64
 from flightstack.jit import njit, njit_called
-from flightstack.types import F64
+from flightstack.types import F64, I64
 
 _LEAST_PIVOT = 0.5
 """Share of the noise below which a pivot, at least the noise in exact arithmetic, can't be trusted."""

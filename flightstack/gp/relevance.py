@@ -7,10 +7,9 @@ chooses it from all that was seen.  Kept apart, what the first forgets the secon
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.gp.recursive import RecursiveGP
-from flightstack.types import F64, InputError
+from flightstack.types import F64, I64, InputError
 
 
 def least_relevant(gp: RecursiveGP, query: F64) -> int:
@@ -29,7 +28,7 @@ def oldest(gp: RecursiveGP) -> int:
     return gp.oldest()
 
 
-def spread(points: F64, count: int) -> NDArray[np.int64]:
+def spread(points: F64, count: int) -> I64:
     """Indices of `count` of the points (N, D), in order, that reach as far as all of them do.
 
     Three fifths are the extremes of every input and of every two inputs' sum and difference (each input by its
@@ -63,7 +62,7 @@ class Spread:
         self._directions = [*((i, i, 0.0) for i in range(inputs)), *pairs]
         """One input plus so many times another one."""
         self._each = 3 * count // (5 * 2 * max(len(self._directions), 1))
-        self._ends: list[NDArray[np.int64]] = []
+        self._ends: list[I64] = []
 
     def carry_on(self) -> bool:
         """The extremes of one more direction; whether there was one."""
@@ -75,7 +74,7 @@ class Spread:
         self._ends.append(np.concatenate([order[: self._each], order[len(along) - self._each :]]))
         return True
 
-    def chosen(self) -> NDArray[np.int64]:
+    def chosen(self) -> I64:
         """The indices, in order."""
         size = len(self._z)
         chosen = np.unique(np.concatenate(self._ends)) if self._ends else np.arange(0)

@@ -10,15 +10,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from flightstack.gp import program
 from flightstack.gp.panel import BLOCK, read_column, update_multiply, write_column
 from flightstack.jit import njit, njit_called, njit_vector
-from flightstack.types import F64
-
-I64 = NDArray[np.int64]
+from flightstack.types import F64, I64
 
 # squares
 INVERSE, GRAM = 0, 1

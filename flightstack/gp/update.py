@@ -24,9 +24,8 @@ import numpy as np
 from flightstack.gp import program, store
 from flightstack.gp.panel import multiply, update_multiply
 from flightstack.gp.rebuild import rebuild
-from flightstack.gp.store import I64
 from flightstack.jit import Entry, njit, njit_called
-from flightstack.types import F64
+from flightstack.types import F64, I64
 
 _LEAST_PIVOT = 0.5
 """An entering point's s and a leaving one's 1 / a_j are at least the noise; below this share of it, A is lost."""

@@ -26,13 +26,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.gp import Kernel, RecursiveGP, least_relevant, spread
 from flightstack.gp.relevance import Spread
 from flightstack.jit import Entry, njit
 from flightstack.learning.priors import StorePrior
-from flightstack.types import F64
+from flightstack.types import F64, I64
 
 Relevance = Literal["oldest", "kernel"]
 Span = tuple[int, int]
@@ -84,12 +83,12 @@ class Evidence:
     """(N, D), the oldest first."""
     values: F64
     """(N, P)."""
-    spans_us: NDArray[np.int64]
+    spans_us: I64
     """(N, 2) stamps of the first and the last sample of each point's window."""
     force: Kernel | None = None
     """As `StorePrior`."""
 
-    def chosen(self, count: int) -> NDArray[np.int64]:
+    def chosen(self, count: int) -> I64:
         """Indices of `count` pooled points that reach as far as all of them."""
         return spread(self.places, count) if len(self.places) else np.arange(0)
 

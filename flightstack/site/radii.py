@@ -10,14 +10,13 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.kept import kept
 from flightstack.rows import ACC_E, ACC_N, JERK_E, JERK_N, VEL_N
 from flightstack.site import backup as b
 from flightstack.site.tube import STEP_S, LoopBounds, Tube, across
 from flightstack.site.worst import Held, Loop, course_of, worst
-from flightstack.types import F64
+from flightstack.types import F64, Mask
 
 _POLES_PS = tuple(0.6 + 0.2 * k for k in range(21))
 _RESTING_S, ROOM = (0.8, 1.4, 2.2, 3.2), 1.05
@@ -62,9 +61,9 @@ def searched(rows: F64, tube: Tube, held: Held, lags_s: tuple[float, float]) -> 
     return tube._replace(radius_m=np.full(len(tube.radius_m), rows[0, b.REST_RADIUS]))
 
 
-def _brake_alike(rows: F64) -> NDArray[np.bool_]:
+def _brake_alike(rows: F64) -> Mask:
     """Which rows brake as hard as the last one."""
-    alike: NDArray[np.bool_] = np.all(rows[:, [b.ACROSS, b.LEAN]] == rows[-1, [b.ACROSS, b.LEAN]], axis=1)
+    alike: Mask = np.all(rows[:, [b.ACROSS, b.LEAN]] == rows[-1, [b.ACROSS, b.LEAN]], axis=1)
     return alike
 
 

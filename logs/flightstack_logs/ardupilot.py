@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flightstack.types import F64, InputError
+from flightstack.types import F64, I64, InputError, Mask
 from flightstack_logs.tables import Table
 
 _MOTOR_1, _MOTORS = 33, 4
@@ -78,7 +77,7 @@ def as_px4(said: dict[str, float], source: str) -> dict[str, float]:
     return out
 
 
-def motors_first(said: dict[str, float], pulses_us: NDArray[np.int64]) -> NDArray[np.int64]:
+def motors_first(said: dict[str, float], pulses_us: I64) -> I64:
     """The outputs (n, 16), those of a quadrotor's motors first, from front right by rear left, front left, rear right.
 
     Pulses between MOT_PWM_MIN and MOT_PWM_MAX, where these are set, become ones between 1000 and 2000.
@@ -100,7 +99,7 @@ def motors_first(said: dict[str, float], pulses_us: NDArray[np.int64]) -> NDArra
     return out
 
 
-def states(tables: dict[str, Table]) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]] | None:
+def states(tables: dict[str, Table]) -> tuple[I64, Mask, Mask] | None:
     """When arming or landing changed (us), and armed and on the ground from then on; None where no event says so."""
     events = tables.get("EV")
     if events is None or "Id" not in events.columns or not _plain(events["Id"]):

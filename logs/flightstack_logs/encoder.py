@@ -12,9 +12,8 @@ from types import CodeType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flightstack.types import F64, Element, Part
+from flightstack.types import F64, U8, Element, Part
 from flightstack_logs.topics import Field, Topic
 from flightstack_logs.wire import BYTES, SCALARS, varint
 
@@ -251,7 +250,7 @@ class NumbersEncoder:
         """Bytes of a message."""
         self._type = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.size})
 
-    def encode(self, rows: F64) -> NDArray[np.uint8]:
+    def encode(self, rows: F64) -> U8:
         """(n, k) numbers -> (n, size) bytes."""
         table = np.frombuffer(bytearray(self._template * len(rows)), self._type)
         for name, begin, end in self._columns:

@@ -18,8 +18,8 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from flightstack.types import I64
 from flightstack_logs.tables import Table
 
 TOPIC = "/clock"
@@ -89,7 +89,7 @@ def aligned(tables: Mapping[str, Table]) -> dict[str, Table]:
     return {name: _aligned(table, since_us, ahead_us) for name, table in tables.items()}
 
 
-def _aligned(table: Table, since_us: NDArray[np.int64], ahead_us: NDArray[np.int64]) -> Table:
+def _aligned(table: Table, since_us: I64, ahead_us: I64) -> Table:
     """Each row by the last entry of /clock up to its log time, rows before the first by the first."""
     stamps = [name for name in STAMPS if name in table.columns and table.columns[name].dtype.kind == "i"]
     if table.name == TOPIC or not stamps:

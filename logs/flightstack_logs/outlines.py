@@ -5,22 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from foxglove.messages import (
-    PackedElementField,
-    PackedElementFieldNumericType,
-    PointCloud,
-    Pose,
-    Quaternion,
-    Timestamp,
-    Vector3,
-)
+from foxglove import messages as fox
 
 from flightstack.frames import frd_to_flu
 from flightstack.types import F64, Tuple3
 
-_IDENTITY = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+_IDENTITY = fox.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
 _XYZ = [
-    PackedElementField(name=name, offset=4 * k, type=PackedElementFieldNumericType.Float32)
+    fox.PackedElementField(name=name, offset=4 * k, type=fox.PackedElementFieldNumericType.Float32)
     for k, name in enumerate("xyz")
 ]
 _EDGE_POINTS, _CIRCLE_POINTS, _DISC_POINTS = 41, 128, 16
@@ -45,13 +37,13 @@ def of_line(line: F64) -> F64:
     return spread
 
 
-def cloud(stamp: Timestamp, frame: str, points: F64) -> bytes:
+def cloud(stamp: fox.Timestamp, frame: str, points: F64) -> bytes:
     """`points` (N, 3), in the axes of `frame` (ENU or FLU), for viewers that draw no SceneUpdate."""
     data = points.astype("<f4")
-    message = PointCloud(
+    message = fox.PointCloud(
         timestamp=stamp,
         frame_id=frame,
-        pose=Pose(position=Vector3(x=0.0, y=0.0, z=0.0), orientation=_IDENTITY),
+        pose=fox.Pose(position=fox.Vector3(x=0.0, y=0.0, z=0.0), orientation=_IDENTITY),
         point_stride=data.itemsize * data.shape[1],
         fields=_XYZ,
         data=data.tobytes(),

@@ -18,9 +18,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flightstack.types import F64
+from flightstack.types import F64, I64, U8
 from flightstack_logs.encoder import NumbersEncoder
 from flightstack_logs.topics import Field, Kind, Topic
 from flightstack_logs.wire import BYTES, descriptor, varint, walk
@@ -87,12 +86,12 @@ class RowBlocks:
             rows.clear()
 
 
-def _table(rows: list[bytes]) -> NDArray[np.uint8]:
+def _table(rows: list[bytes]) -> U8:
     """(n, size) bytes of rows of one size."""
     return np.frombuffer(b"".join(rows), np.uint8).reshape(-1, len(rows[0]))
 
 
-def _table_of(rows: list[tuple[int, int, F64]], encoder: NumbersEncoder) -> NDArray[np.uint8]:
+def _table_of(rows: list[tuple[int, int, F64]], encoder: NumbersEncoder) -> U8:
     """(n, size) bytes of rows of numbers, each with its log time and place."""
     heads = np.array([(t_us, place) for t_us, place, _ in rows], _HEAD_TYPE)
     messages = encoder.encode(np.array([numbers for _, _, numbers in rows]))
@@ -104,7 +103,7 @@ def pack(rows: list[bytes]) -> bytes:
     return _packed(_table(rows))
 
 
-def _packed(table: NDArray[np.uint8]) -> bytes:
+def _packed(table: U8) -> bytes:
     size = table.shape[1]
     data = np.diff(table, axis=0, prepend=np.zeros((1, size), np.uint8)).T.tobytes()
     return b"".join((_SIZE_TAG, struct.pack("<i", size), _DATA_TAG, varint(len(data)), data))
@@ -114,16 +113,16 @@ def _packed(table: NDArray[np.uint8]) -> bytes:
 class Unpacked:
     """All rows of a topic, in the order written."""
 
-    t_us: NDArray[np.int64]
-    place: NDArray[np.int64]
+    t_us: I64
+    place: I64
     """(n,) among everything in the log's blocks."""
-    messages: NDArray[np.uint8] | list[bytes]
+    messages: U8 | list[bytes]
     """(n, size) where all are of one size."""
 
 
 def unpack(blocks: list[bytes]) -> Unpacked:
     """The rows of all blocks of a topic; ValueError where one is damaged."""
-    by_size: dict[int, list[NDArray[np.uint8]]] = {}
+    by_size: dict[int, list[U8]] = {}
     for block in blocks:
         table = _unpacked(block)
         by_size.setdefault(table.shape[1], []).append(table)
@@ -137,7 +136,7 @@ def unpack(blocks: list[bytes]) -> Unpacked:
     return Unpacked(t_us, place, [bodies[index] for index in order.tolist()])
 
 
-def _unpacked(block: bytes) -> NDArray[np.uint8]:
+def _unpacked(block: bytes) -> U8:
     """(n, size) the rows of one block."""
     fields = dict(walk(block))
     packed, data = fields.get(1), fields.get(2)

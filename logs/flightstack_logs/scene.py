@@ -11,29 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from foxglove.messages import (
-    ArrowPrimitive,
-    Color,
-    CubePrimitive,
-    CylinderPrimitive,
-    FrameTransform,
-    FrameTransforms,
-    LinePrimitive,
-    LinePrimitiveLineType,
-    LocationFix,
-    Log,
-    LogLevel,
-    Point3,
-    Pose,
-    PoseInFrame,
-    PosesInFrame,
-    Quaternion,
-    SceneEntity,
-    SceneUpdate,
-    SpherePrimitive,
-    Timestamp,
-    Vector3,
-)
+from foxglove import messages as fox
 
 from flightstack.frames import frd_to_flu, ned_to_enu, q_ned_frd_to_enu_flu
 from flightstack.types import F64, TickRecord, Tuple3, Tuple4
@@ -54,22 +32,22 @@ _STAMPED_PERIOD_US = 200_000
 _PATH_POINTS = 600
 
 _LEVELS = {
-    "debug": LogLevel.Debug,
-    "info": LogLevel.Info,
-    "warning": LogLevel.Warning,
-    "error": LogLevel.Error,
-    "fatal": LogLevel.Fatal,
+    "debug": fox.LogLevel.Debug,
+    "info": fox.LogLevel.Info,
+    "warning": fox.LogLevel.Warning,
+    "error": fox.LogLevel.Error,
+    "fatal": fox.LogLevel.Fatal,
 }
 
-_IDENTITY = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
-_GREY = Color(r=0.5, g=0.5, b=0.5, a=0.6)
-_BLUE = Color(r=0.2, g=0.5, b=1.0, a=1.0)
-_ORANGE = Color(r=1.0, g=0.6, b=0.1, a=0.9)
-_RED = Color(r=0.9, g=0.2, b=0.2, a=0.9)
-_REGION = Color(r=0.2, g=0.9, b=0.4, a=0.15)
-_CERTIFIED = Color(r=0.5, g=0.4, b=0.9, a=0.2)
-_WANTED = Color(r=1.0, g=0.6, b=0.1, a=0.8)
-_SAFE = Color(r=0.2, g=0.8, b=0.3, a=0.9)
+_IDENTITY = fox.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+_GREY = fox.Color(r=0.5, g=0.5, b=0.5, a=0.6)
+_BLUE = fox.Color(r=0.2, g=0.5, b=1.0, a=1.0)
+_ORANGE = fox.Color(r=1.0, g=0.6, b=0.1, a=0.9)
+_RED = fox.Color(r=0.9, g=0.2, b=0.2, a=0.9)
+_REGION = fox.Color(r=0.2, g=0.9, b=0.4, a=0.15)
+_CERTIFIED = fox.Color(r=0.5, g=0.4, b=0.9, a=0.2)
+_WANTED = fox.Color(r=1.0, g=0.6, b=0.1, a=0.8)
+_SAFE = fox.Color(r=0.2, g=0.8, b=0.3, a=0.9)
 
 ENGAGED = 2.0
 """From this status on the barrier filter says what it does with the wanted acceleration."""
@@ -132,28 +110,30 @@ def _pose_matrix() -> F64:
 _POSE_MATRIX = _pose_matrix()
 
 
-def timestamp(t_us: int) -> Timestamp:
+def timestamp(t_us: int) -> fox.Timestamp:
     """Vehicle time as Foxglove's time stamp."""
     t_us = min(max(t_us, 0), _LATEST_US)  # a vehicle's stamp is what it says, and may be absurd
-    return Timestamp(sec=t_us // 1_000_000, nsec=t_us % 1_000_000 * 1000)
+    return fox.Timestamp(sec=t_us // 1_000_000, nsec=t_us % 1_000_000 * 1000)
 
 
 _LATEST_US = (2**32 - 1) * 1_000_000
 """Foxglove's seconds have 32 bits."""
 
 
-def _points(ned_m: F64) -> list[Point3]:
-    return [Point3(x=x, y=y, z=z) for x, y, z in ned_to_enu(ned_m).reshape(-1, 3).tolist()]
+def _points(ned_m: F64) -> list[fox.Point3]:
+    return [fox.Point3(x=x, y=y, z=z) for x, y, z in ned_to_enu(ned_m).reshape(-1, 3).tolist()]
 
 
 def log_line(t_us: int, level: str, name: str, text: str) -> bytes:
     """A `foxglove.Log` message; an unknown level counts as unknown."""
-    return Log(timestamp=timestamp(t_us), level=_LEVELS.get(level, LogLevel.Unknown), name=name, message=text).encode()
+    return fox.Log(
+        timestamp=timestamp(t_us), level=_LEVELS.get(level, fox.LogLevel.Unknown), name=name, message=text
+    ).encode()
 
 
 def location(t_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> bytes:
     """A `foxglove.LocationFix` message."""
-    return LocationFix(
+    return fox.LocationFix(
         timestamp=timestamp(t_us), frame_id=BODY, latitude=latitude_deg, longitude=longitude_deg, altitude=altitude_m
     ).encode()
 
@@ -182,7 +162,7 @@ class VehicleTrail:
         self._frame = BODY_TRUE if truth else BODY
         self._truth = truth
         self._state = np.empty(7)
-        self._points: list[Pose] = []
+        self._points: list[fox.Pose] = []
         self._corners: list[Tuple3] = []
         self._point_period_us = _PATH_POINT_US
         self._due_us = 0
@@ -203,31 +183,31 @@ class VehicleTrail:
         state[3:] = of.q_ned_frd
         x, y, z, qw, qx, qy, qz = (np.rint(_POSE_MATRIX @ state * _FINENESS) / _FINENESS).tolist()
         stamp = timestamp(t_us)
-        place = Vector3(x=x, y=y, z=z)
-        turn = Quaternion(x=qx, y=qy, z=qz, w=qw)
-        move = FrameTransform(
+        place = fox.Vector3(x=x, y=y, z=z)
+        turn = fox.Quaternion(x=qx, y=qy, z=qz, w=qw)
+        move = fox.FrameTransform(
             timestamp=stamp, parent_frame_id=WORLD, child_frame_id=self._frame, translation=place, rotation=turn
         )
-        pose = Pose(position=place, orientation=turn)
-        views = [(f"{self._prefix}/tf", FrameTransforms(transforms=[move]).encode())]
+        pose = fox.Pose(position=place, orientation=turn)
+        views = [(f"{self._prefix}/tf", fox.FrameTransforms(transforms=[move]).encode())]
         if t_us >= self._pose_due_us:
             self._pose_due_us = t_us + _STAMPED_PERIOD_US
-            views.append((f"{self._prefix}/pose", PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose).encode()))
+            views.append((f"{self._prefix}/pose", fox.PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose).encode()))
         if t_us >= self._point_due_us and math.isfinite(x + y + z):
             self._add_point(t_us, pose, (x, y, z))
         if t_us >= self._path_due_us and self._points:
             self._from_us = t_us if self._from_us < 0 else self._from_us
             self._path_due_us = t_us + max(_PATH_PERIOD_US, (t_us - self._from_us) // _PATH_GROWTH)
-            path = PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=self._points)
+            path = fox.PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=self._points)
             views.append((f"{self._prefix}/path", path.encode()))
             if not self._truth:
-                corners = [Point3(x=x, y=y, z=z) for x, y, z in self._corners]
+                corners = [fox.Point3(x=x, y=y, z=z) for x, y, z in self._corners]
                 line = _line(stamp, "path", corners, _BLUE)
-                views.append(("/scene/path", SceneUpdate(entities=[line]).encode()))
+                views.append(("/scene/path", fox.SceneUpdate(entities=[line]).encode()))
                 views.append(("/outline/path", outlines.cloud(stamp, WORLD, np.array(self._corners))))
         return views
 
-    def _add_point(self, t_us: int, pose: Pose, corner: Tuple3) -> None:
+    def _add_point(self, t_us: int, pose: fox.Pose, corner: Tuple3) -> None:
         self._point_due_us = t_us + self._point_period_us
         self._points.append(pose)
         self._corners.append(corner)
@@ -237,28 +217,28 @@ class VehicleTrail:
             self._point_period_us *= 2
 
 
-def _disc(center: list[float], radius_m: float, color: Color) -> CylinderPrimitive:
-    position = Vector3(x=center[0], y=center[1], z=center[2])
-    size = Vector3(x=2.0 * radius_m, y=2.0 * radius_m, z=0.01)
-    pose = Pose(position=position, orientation=_IDENTITY)
-    return CylinderPrimitive(pose=pose, size=size, bottom_scale=1.0, top_scale=1.0, color=color)
+def _disc(center: list[float], radius_m: float, color: fox.Color) -> fox.CylinderPrimitive:
+    position = fox.Vector3(x=center[0], y=center[1], z=center[2])
+    size = fox.Vector3(x=2.0 * radius_m, y=2.0 * radius_m, z=0.01)
+    pose = fox.Pose(position=position, orientation=_IDENTITY)
+    return fox.CylinderPrimitive(pose=pose, size=size, bottom_scale=1.0, top_scale=1.0, color=color)
 
 
-def _vehicle(stamp: Timestamp, scene: Scene, *, truth: bool) -> SceneEntity:
+def _vehicle(stamp: fox.Timestamp, scene: Scene, *, truth: bool) -> fox.SceneEntity:
     """Arms and rotor discs, front rotors orange; the estimated vehicle is a pale double of the true one."""
     rotors = frd_to_flu(scene.rotor_position_frd_m).tolist()
     pale = scene.truth and not truth
     color = _GREY if pale else _BLUE
     front = _GREY if pale else _ORANGE
-    center = Point3(x=0.0, y=0.0, z=0.0)
-    ends = [point for x, y, z in rotors for point in (center, Point3(x=x, y=y, z=z))]
-    arms = LinePrimitive(type=LinePrimitiveLineType.LineList, thickness=0.02, points=ends, color=color)
+    center = fox.Point3(x=0.0, y=0.0, z=0.0)
+    ends = [point for x, y, z in rotors for point in (center, fox.Point3(x=x, y=y, z=z))]
+    arms = fox.LinePrimitive(type=fox.LinePrimitiveLineType.LineList, thickness=0.02, points=ends, color=color)
     discs = [_disc(rotor, scene.rotor_radius_m, front if rotor[0] > 0.0 else color) for rotor in rotors]
     frame, name = (BODY_TRUE, "vehicle_true") if truth else (BODY, "vehicle")
-    return SceneEntity(timestamp=stamp, frame_id=frame, id=name, frame_locked=True, lines=[arms], cylinders=discs)
+    return fox.SceneEntity(timestamp=stamp, frame_id=frame, id=name, frame_locked=True, lines=[arms], cylinders=discs)
 
 
-def _ground(stamp: Timestamp, down_m: float) -> SceneEntity:
+def _ground(stamp: fox.Timestamp, down_m: float) -> fox.SceneEntity:
     """A grid of 1 m cells, 20 m by 20 m."""
     half = 10
     ends = [
@@ -266,32 +246,34 @@ def _ground(stamp: Timestamp, down_m: float) -> SceneEntity:
         for k in range(-half, half + 1)
         for end in ((k, -half, down_m), (k, half, down_m), (-half, k, down_m), (half, k, down_m))
     ]
-    grid = LinePrimitive(
-        type=LinePrimitiveLineType.LineList,
+    grid = fox.LinePrimitive(
+        type=fox.LinePrimitiveLineType.LineList,
         thickness=1.0,
         scale_invariant=True,
         points=_points(np.array(ends, dtype=np.float64)),
         color=_GREY,
     )
-    return SceneEntity(timestamp=stamp, frame_id=WORLD, id="ground", frame_locked=True, lines=[grid])
+    return fox.SceneEntity(timestamp=stamp, frame_id=WORLD, id="ground", frame_locked=True, lines=[grid])
 
 
-def _line(stamp: Timestamp, name: str, points: list[Point3], color: Color) -> SceneEntity:
-    line = LinePrimitive(
-        type=LinePrimitiveLineType.LineStrip, thickness=2.0, scale_invariant=True, points=points, color=color
+def _line(stamp: fox.Timestamp, name: str, points: list[fox.Point3], color: fox.Color) -> fox.SceneEntity:
+    line = fox.LinePrimitive(
+        type=fox.LinePrimitiveLineType.LineStrip, thickness=2.0, scale_invariant=True, points=points, color=color
     )
-    return SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, lines=[line])
+    return fox.SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, lines=[line])
 
 
-def _region(stamp: Timestamp, region: SceneRegion, name: str = "region", color: Color = _REGION) -> SceneEntity:
+def _region(
+    stamp: fox.Timestamp, region: SceneRegion, name: str = "region", color: fox.Color = _REGION
+) -> fox.SceneEntity:
     """A translucent box or ellipsoid."""
     x, y, z = ned_to_enu(np.array(region.center_ned_m)).tolist()
     dx, dy, dz = (2.0 * np.abs(ned_to_enu(np.array(region.half_size_m)))).tolist()
-    pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=_IDENTITY)
-    size = Vector3(x=dx, y=dy, z=dz)
-    boxes = [CubePrimitive(pose=pose, size=size, color=color)] if region.shape == "box" else []
-    balls = [SpherePrimitive(pose=pose, size=size, color=color)] if region.shape != "box" else []
-    return SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, cubes=boxes, spheres=balls)
+    pose = fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=_IDENTITY)
+    size = fox.Vector3(x=dx, y=dy, z=dz)
+    boxes = [fox.CubePrimitive(pose=pose, size=size, color=color)] if region.shape == "box" else []
+    balls = [fox.SpherePrimitive(pose=pose, size=size, color=color)] if region.shape != "box" else []
+    return fox.SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, cubes=boxes, spheres=balls)
 
 
 def views_of(t_us: int, shown: Shown) -> list[View]:
@@ -303,7 +285,7 @@ def views_of(t_us: int, shown: Shown) -> list[View]:
     stamp = timestamp(t_us)
     line = _line(stamp, "way", _points(shown.pos_ned_m), _ORANGE)
     outline = ("/outline/way", outlines.cloud(stamp, WORLD, ned_to_enu(shown.pos_ned_m)))
-    return [("/scene/way", SceneUpdate(entities=[line]).encode()), outline]
+    return [("/scene/way", fox.SceneUpdate(entities=[line]).encode()), outline]
 
 
 def _certified_views(t_us: int, region: SceneRegion) -> list[View]:
@@ -311,7 +293,7 @@ def _certified_views(t_us: int, region: SceneRegion) -> list[View]:
     stamp = timestamp(t_us)
     entity = _region(stamp, region, "certified", _CERTIFIED)
     outline = ("/outline/certified", outlines.cloud(stamp, WORLD, _edges(region)))
-    return [("/scene/region", SceneUpdate(entities=[entity]).encode()), outline]
+    return [("/scene/region", fox.SceneUpdate(entities=[entity]).encode()), outline]
 
 
 def _edges(region: SceneRegion) -> F64:
@@ -323,27 +305,27 @@ def arrow_views(t_us: int, record: TickRecord) -> list[View]:
     """The acceleration that was wanted and the one that is sent, as arrows at the vehicle, 0.1 m for each m/s^2."""
     stamp, at, filtered = timestamp(t_us), record.measurement.pos_ned_m, record.filtered
     entities = [
-        SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, arrows=[_arrow(at, acc, color)])
+        fox.SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, arrows=[_arrow(at, acc, color)])
         for name, acc, color in (
             ("wanted", filtered.wanted_acc_ned_mps2, _WANTED),
             ("safe", filtered.safe_acc_ned_mps2, _SAFE),
         )
         if np.isfinite(acc).all() and np.isfinite(at).all()
     ]
-    return [("/scene/filter", SceneUpdate(entities=entities).encode())] if entities else []
+    return [("/scene/filter", fox.SceneUpdate(entities=entities).encode())] if entities else []
 
 
-def _arrow(at_ned_m: F64, acc_ned_mps2: F64, color: Color) -> ArrowPrimitive:
+def _arrow(at_ned_m: F64, acc_ned_mps2: F64, color: fox.Color) -> fox.ArrowPrimitive:
     x, y, z = ned_to_enu(at_ned_m).tolist()
     dx, dy, dz = ned_to_enu(acc_ned_mps2).tolist()
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     # Half way between +x and the wanted direction lies the axis of half a turn from one to the other.
     half = (dx + length, dy, dz) if dx > -0.999999 * length else (0.0, 1.0, 0.0)
     norm = math.sqrt(sum(part * part for part in half)) or 1.0
-    turn = Quaternion(x=half[0] / norm, y=half[1] / norm, z=half[2] / norm, w=0.0) if length > 0.0 else _IDENTITY
+    turn = fox.Quaternion(x=half[0] / norm, y=half[1] / norm, z=half[2] / norm, w=0.0) if length > 0.0 else _IDENTITY
     shown = _ARROW_M_PER_MPS2 * length
-    return ArrowPrimitive(
-        pose=Pose(position=Vector3(x=x, y=y, z=z), orientation=turn),
+    return fox.ArrowPrimitive(
+        pose=fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=turn),
         shaft_length=0.8 * shown,
         shaft_diameter=0.015,
         head_length=0.2 * shown,
@@ -379,10 +361,10 @@ def _scene_views(t_us: int, scene: Scene) -> list[View]:
     if scene.reference_ned_m is not None:
         entities.append(_line(stamp, "reference", _points(scene.reference_ned_m), _RED))
         poses = [
-            Pose(position=Vector3(x=x, y=y, z=z), orientation=_IDENTITY)
+            fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=_IDENTITY)
             for x, y, z in ned_to_enu(scene.reference_ned_m).tolist()
         ]
         views.append(("/outline/reference", outlines.cloud(stamp, WORLD, ned_to_enu(scene.reference_ned_m))))
-        views.append(("/reference/path", PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=poses).encode()))
-    views.append(("/scene", SceneUpdate(entities=entities).encode()))
+        views.append(("/reference/path", fox.PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=poses).encode()))
+    views.append(("/scene", fox.SceneUpdate(entities=entities).encode()))
     return views

@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2
+from flightstack.types import F64, I64, STANDARD_GRAVITY_MPS2
 from flightstack_logs import ardupilot
 from flightstack_logs.readers.csv_file import TABLE as CSV_TABLE
 from flightstack_logs.readers.ulog import SAID
@@ -41,7 +40,7 @@ def with_vehicle_topics(log: Log) -> Log:
     return replace(log, tables={**tables, **make(tables, first_us)})
 
 
-def _put(found: Found, topic: str, at_us: NDArray[np.int64], *columns: np.ndarray) -> None:
+def _put(found: Found, topic: str, at_us: I64, *columns: np.ndarray) -> None:
     """One standard table, if it has rows: all fields of the topic in their order; what may be missing is NaN."""
     if len(at_us):
         units = {field.name: field.unit for field in TOPICS[topic].fields}
@@ -61,13 +60,13 @@ def _has(table: Table | None, names: Iterable[str], ndim: int = 1) -> bool:
     return all(column is not None and column.dtype.kind in "biuf" and column.ndim == ndim for column in columns)
 
 
-def _whole(values: np.ndarray, unknown: int = 0) -> NDArray[np.int64]:
+def _whole(values: np.ndarray, unknown: int = 0) -> I64:
     """As whole numbers: what is none, or more than any output or share, as `unknown`."""
     known = np.abs(values.astype(np.float64)) < _MOST_WHOLE  # False for NaN
     return np.where(known, values, unknown).astype(np.int64)
 
 
-def _at(t_us: NDArray[np.int64], table: Table, values: F64) -> F64:
+def _at(t_us: I64, table: Table, values: F64) -> F64:
     """Rows of `values` at the times, by the latest row of `table` up to each; NaN before the first."""
     entry = np.searchsorted(table.t_us, t_us, side="right") - 1
     out = values[np.maximum(entry, 0)].astype(np.float64)
@@ -75,7 +74,7 @@ def _at(t_us: NDArray[np.int64], table: Table, values: F64) -> F64:
     return out
 
 
-def _pulses(command: F64) -> NDArray[np.int64]:
+def _pulses(command: F64) -> I64:
     """(n, 16) pulse widths of normalised commands (n, k); 0 where there is no output."""
     wide = np.zeros((len(command), _OUTPUTS), np.int64)
     known = np.where(np.isfinite(command), np.clip(command, 0.0, 1.0) * _SPAN_US + _LOW_US, 0.0)
@@ -83,7 +82,7 @@ def _pulses(command: F64) -> NDArray[np.int64]:
     return wide
 
 
-def _stamps(table: Table, column: str, times: int) -> NDArray[np.int64]:
+def _stamps(table: Table, column: str, times: int) -> I64:
     """The vehicle's stamps on the log's line: the least late message of all is taken for one without delay."""
     boot_us = table[column].astype(np.int64) * times
     return boot_us - int(np.max(boot_us - table.t_us))
@@ -216,7 +215,7 @@ def _ulog_status(tables: Found, found: Found) -> None:
     _put_said(found, tables.get(SAID))
 
 
-def _sampled(table: Table, first_us: int) -> NDArray[np.int64]:
+def _sampled(table: Table, first_us: int) -> I64:
     """When the data were sampled, where the topic says so."""
     if "timestamp_sample" not in table.columns:
         return table.t_us

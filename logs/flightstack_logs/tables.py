@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flightstack.types import InputError
+from flightstack.types import I64, InputError
 from flightstack_logs.topics import Attachment
 
 if TYPE_CHECKING:
@@ -22,13 +21,13 @@ class Table:
     """The messages of one topic as columns."""
 
     name: str
-    t_us: NDArray[np.int64]
+    t_us: I64
     """(N,) log time, microseconds, ascending: this project's logs count from 0 at their start, others as they do."""
     columns: dict[str, np.ndarray]
     """Field -> (N,) or (N, k); float64, int64, bool or str.  The vehicle's stamps are on the log's time line."""
     units: dict[str, str]
     """Field -> unit, as the log says."""
-    place: NDArray[np.int64] | None = None
+    place: I64 | None = None
     """(N,) place of each row among everything that was written packed (`rows`)."""
 
     def __len__(self) -> int:
@@ -74,10 +73,10 @@ class Messages:
     """The messages of one topic as they were logged: raw MAVLink, viewer messages, anything that is no table."""
 
     name: str
-    t_us: NDArray[np.int64]
+    t_us: I64
     """(N,) as in `Table`."""
     data: list[bytes]
-    place: NDArray[np.int64] | None = None
+    place: I64 | None = None
     """As in `Table`."""
 
     def __len__(self) -> int:

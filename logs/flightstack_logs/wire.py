@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from flightstack.types import U8
 from flightstack_logs.topics import Topic
 
 _VARINT, _FIXED64, BYTES, _FIXED32 = 0, 1, 2, 5
@@ -192,9 +192,7 @@ def _check_prefixes(block: bytes, layout: _Layout, count: int) -> None:
         raise ValueError("its messages differ in form")
 
 
-def decode_columns(
-    schema: bytes, schema_name: str, messages: Sequence[bytes] | NDArray[np.uint8]
-) -> dict[str, np.ndarray]:
+def decode_columns(schema: bytes, schema_name: str, messages: Sequence[bytes] | U8) -> dict[str, np.ndarray]:
     """Messages of one TABLE topic (at least one) as columns (N,) or (N, k), in the schema's order.
 
     `messages` may be (N, size) bytes where all are of one size.  Floats come as float64, integers as int64, strings as

@@ -16,19 +16,7 @@ import numpy as np
 
 from flightstack.control.feedback import FeedbackGains, controller_rows
 from flightstack.effects import PARAMS, turbulence
-from flightstack.effects.row import (
-    P_GROUND,
-    S_ANGULAR,
-    S_COMMAND,
-    S_FORCE,
-    S_NORMAL,
-    S_POS,
-    S_Q,
-    S_RATE,
-    S_U,
-    S_VEL,
-    S_VOLTAGE,
-)
+from flightstack.effects import row as at
 from flightstack.model import Limits, Model, limiter_row
 from flightstack.types import F64, InputError, Learned
 from flightstack.vehicle import Vehicle
@@ -71,18 +59,18 @@ class VehicleBatch:
             raise InputError("batch: this NumPy hides what draws gusts; take NumPy's own wheel, or no turbulence")
         self._state = _by_field(rows)
         by_field = _by_field(params)
-        by_field[P_GROUND, self._count :] = 0.0  # what fills the last block has no ground to slow it down
+        by_field[at.P_GROUND, self._count :] = 0.0  # what fills the last block has no ground to slow it down
         blocks = by_field.shape[1] // LANES
         self._params = by_field.reshape(PARAMS, blocks, LANES).transpose(1, 0, 2).reshape(blocks, PARAMS * LANES)
         self._generators = np.zeros(by_field.shape[1], dtype=np.int64)
         for i, draws in self._gusts.items():
             self._generators[i] = draws.generator
         self._pool = ThreadPoolExecutor(_MOST_THREADS)
-        self.pos_ned_m = self._view(S_POS, 3)
-        self.vel_ned_mps = self._view(S_VEL, 3)
-        self.q_ned_frd = self._view(S_Q, 4)
-        self.rate_frd_radps = self._view(S_RATE, 3)
-        self.motor_u = self._view(S_U, 4)
+        self.pos_ned_m = self._view(at.S_POS, 3)
+        self.vel_ned_mps = self._view(at.S_VEL, 3)
+        self.q_ned_frd = self._view(at.S_Q, 4)
+        self.rate_frd_radps = self._view(at.S_RATE, 3)
+        self.motor_u = self._view(at.S_U, 4)
 
     def __len__(self) -> int:
         return self._count
@@ -122,15 +110,15 @@ class BatchPlant(VehicleBatch):
         super().__init__(vehicles, seed=seed, dt_us=dt_us, ground=ground)
         self._threads = threads
         self.t_us = 0
-        self._command = self._view(S_COMMAND, 4)
-        self.specific_force_frd_mps2 = self._view(S_FORCE, 3)
-        self.angular_acceleration_frd_radps2 = self._view(S_ANGULAR, 3)
-        self.battery_v = self._state[S_VOLTAGE, : self._count]
+        self._command = self._view(at.S_COMMAND, 4)
+        self.specific_force_frd_mps2 = self._view(at.S_FORCE, 3)
+        self.angular_acceleration_frd_radps2 = self._view(at.S_ANGULAR, 3)
+        self.battery_v = self._state[at.S_VOLTAGE, : self._count]
 
     @property
     def on_ground(self) -> np.ndarray:
         """(N,) whether the ground pushed during the last step."""
-        return self._state[S_NORMAL, : self._count] > 0.0
+        return self._state[at.S_NORMAL, : self._count] > 0.0
 
     def step(self, motor_command: F64) -> None:
         """Advance all by dt_us; `motor_command` (N, 4) or (4,)."""
@@ -139,7 +127,7 @@ class BatchPlant(VehicleBatch):
     def run(self, motor_command: F64, steps: int) -> None:
         """`steps` steps with the same commands: the same flight as calling `step` that often, and quicker."""
         self._command[:] = motor_command
-        self._state[S_COMMAND : S_COMMAND + 4, self._count :] = 0.0
+        self._state[at.S_COMMAND : at.S_COMMAND + 4, self._count :] = 0.0
         fleet = self._params, self._state, self._generators
         self._share(lambda low, high: run_blocks(self._steps, *fleet, steps, low, high), self._threads)
         self.t_us += steps * self.dt_us
@@ -173,7 +161,7 @@ class BatchClosedLoop(VehicleBatch):
         super().__init__(truths, seed=seed, dt_us=_DT_US, ground=False)
         model, limits = Model.from_vehicle(believed), limits or Limits()
         padded = self._state.shape[1]
-        self._state[S_U : S_U + 4] = self._state[S_COMMAND : S_COMMAND + 4] = model.hover_norm
+        self._state[at.S_U : at.S_U + 4] = self._state[at.S_COMMAND : at.S_COMMAND + 4] = model.hover_norm
         loop = np.append(RateControl(believed, airframe_params(believed)).row, np.zeros(3))
         self._loops = np.repeat(np.repeat(loop, LANES)[None], padded // LANES, axis=0)
         self._corrections = np.zeros((padded, 3))

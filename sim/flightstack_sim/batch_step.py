@@ -18,38 +18,7 @@ from numba import carray
 from numpy.random import _generator
 
 from flightstack.effects import EFFECTS, PARAMS, battery_sag, slung_load, turbulence
-from flightstack.effects.row import (
-    D_DELAY_STEPS,
-    D_GROUND_LEVEL,
-    D_GROUND_REACH,
-    D_LAG_FULL,
-    D_LAG_HALF,
-    D_TAU,
-    E_FORCE,
-    E_NORMAL,
-    E_THRUST,
-    EVALUATED,
-    INTEGRATED,
-    M1,
-    M2,
-    M3,
-    M4,
-    P_DT,
-    P_GROUND,
-    S_ANGULAR,
-    S_COMMAND,
-    S_CURSOR,
-    S_FORCE,
-    S_NORMAL,
-    S_NORMALS,
-    S_POS,
-    S_RATE,
-    S_RING,
-    S_THRUST,
-    S_U,
-    S_VEL,
-    S_VOLTAGE,
-)
+from flightstack.effects import row as place
 from flightstack.jit import njit, njit_called, njit_free
 from flightstack.types import F64, I64
 from flightstack_sim import composed, rigid_body
@@ -59,16 +28,16 @@ from flightstack_sim.rigid_body import step_row
 
 # where each field begins in a block's scratch
 _P, _Y = 0, PARAMS * LANES
-_DY = _Y + EVALUATED * LANES
-_MEAN = _DY + EVALUATED * LANES
-_TARGET = _MEAN + EVALUATED * LANES
+_DY = _Y + place.EVALUATED * LANES
+_MEAN = _DY + place.EVALUATED * LANES
+_TARGET = _MEAN + place.EVALUATED * LANES
 _SPEEDS = _TARGET + 4 * LANES  # at the step's start, middle and end
 _NOW = _SPEEDS + 12 * LANES  # at this stage
 _AIR = _NOW + 4 * LANES  # wind (3) and the battery's thrust factor
 _FACTOR = 3
 _MIDDLE, _END = 4, 8  # of a step, among the speeds
 ROW_AT = _AIR + 4 * LANES  # the state's fields, the ring of past commands last
-SCRATCH = ROW_AT + S_RING * LANES
+SCRATCH = ROW_AT + place.S_RING * LANES
 """What a step in the air touches; the ring follows."""
 DRAWN = 64
 """Steps whose gust normals are drawn at once."""
@@ -82,28 +51,33 @@ def _begin(scratch: F64) -> None:
     for i in range(LANES):
         p, row = lane(scratch, _P + i), lane(scratch, ROW_AT + i)
         goal, speeds, air = lane(scratch, _TARGET + i), lane(scratch, _SPEEDS + i), lane(scratch, _AIR + i)
-        target = (goal[M1], goal[M2], goal[M3], goal[M4])
-        lagging = p[D_TAU] != 0.0
+        target = (goal[place.M1], goal[place.M2], goal[place.M3], goal[place.M4])
+        lagging = p[place.D_TAU] != 0.0
         start = (
-            row[S_U] if lagging else target[M1],
-            row[S_U + 1] if lagging else target[M2],
-            row[S_U + 2] if lagging else target[M3],
-            row[S_U + M4] if lagging else target[M4],
+            row[place.S_U] if lagging else target[place.M1],
+            row[place.S_U + 1] if lagging else target[place.M2],
+            row[place.S_U + 2] if lagging else target[place.M3],
+            row[place.S_U + place.M4] if lagging else target[place.M4],
         )
-        end = rigid_body.lagged(target, start, p[D_LAG_FULL])
-        speeds[M1], speeds[M2], speeds[M3], speeds[M4] = rigid_body.rotor_speeds(p, start)
-        middle = rigid_body.lagged(target, start, p[D_LAG_HALF])
-        speeds[_MIDDLE + M1], speeds[_MIDDLE + M2], speeds[_MIDDLE + M3], speeds[_MIDDLE + M4] = (
-            rigid_body.rotor_speeds(p, middle)
+        end = rigid_body.lagged(target, start, p[place.D_LAG_FULL])
+        speeds[place.M1], speeds[place.M2], speeds[place.M3], speeds[place.M4] = rigid_body.rotor_speeds(p, start)
+        middle = rigid_body.lagged(target, start, p[place.D_LAG_HALF])
+        (
+            speeds[_MIDDLE + place.M1],
+            speeds[_MIDDLE + place.M2],
+            speeds[_MIDDLE + place.M3],
+            speeds[_MIDDLE + place.M4],
+        ) = rigid_body.rotor_speeds(p, middle)
+        speeds[_END + place.M1], speeds[_END + place.M2], speeds[_END + place.M3], speeds[_END + place.M4] = (
+            rigid_body.rotor_speeds(p, end)
         )
-        speeds[_END + M1], speeds[_END + M2], speeds[_END + M3], speeds[_END + M4] = rigid_body.rotor_speeds(p, end)
-        row[S_U] = rigid_body.standing(target[M1], end[M1])
-        row[S_U + 1] = rigid_body.standing(target[M2], end[M2])
-        row[S_U + 2] = rigid_body.standing(target[M3], end[M3])
-        row[S_U + M4] = rigid_body.standing(target[M4], end[M4])
+        row[place.S_U] = rigid_body.standing(target[place.M1], end[place.M1])
+        row[place.S_U + 1] = rigid_body.standing(target[place.M2], end[place.M2])
+        row[place.S_U + 2] = rigid_body.standing(target[place.M3], end[place.M3])
+        row[place.S_U + place.M4] = rigid_body.standing(target[place.M4], end[place.M4])
         turbulence.advance(p, row)
         air[0], air[1], air[2] = rigid_body.air_velocity(p, row)
-        air[_FACTOR] = battery_sag.factor(p, row[S_VOLTAGE])
+        air[_FACTOR] = battery_sag.factor(p, row[place.S_VOLTAGE])
 
 
 @njit
@@ -113,11 +87,11 @@ def _stage(scratch: F64, reach: float, weight: float) -> None:
         row, y = lane(scratch, ROW_AT + i), lane(scratch, _Y + i)
         dy, mean = lane(scratch, _DY + i), lane(scratch, _MEAN + i)
         u, air = lane(scratch, _NOW + i), lane(scratch, _AIR + i)
-        for j in range(INTEGRATED):
+        for j in range(place.INTEGRATED):
             y[j] = row[j] + reach * dy[j]
-        speeds, wind = (u[M1], u[M2], u[M3], u[M4]), (air[0], air[1], air[2])
+        speeds, wind = (u[place.M1], u[place.M2], u[place.M3], u[place.M4]), (air[0], air[1], air[2])
         rigid_body.evaluate(lane(scratch, _P + i), y, speeds, wind, air[_FACTOR], dy)
-        for j in range(E_THRUST):
+        for j in range(place.E_THRUST):
             mean[j] += weight * dy[j]
 
 
@@ -128,11 +102,11 @@ def _end(scratch: F64) -> None:
         p, row = lane(scratch, _P + i), lane(scratch, ROW_AT + i)
         dy, mean = lane(scratch, _DY + i), lane(scratch, _MEAN + i)
         for j in range(3):
-            row[S_FORCE + j] = mean[E_FORCE + j]
-            row[S_ANGULAR + j] = mean[S_RATE + j]
+            row[place.S_FORCE + j] = mean[place.E_FORCE + j]
+            row[place.S_ANGULAR + j] = mean[place.S_RATE + j]
         for j in range(4):
-            row[S_THRUST + j] = dy[E_THRUST + j]
-        row[S_NORMAL] = mean[E_NORMAL]
+            row[place.S_THRUST + j] = dy[place.E_THRUST + j]
+        row[place.S_NORMAL] = mean[place.E_NORMAL]
         rigid_body.normalise(row)
         slung_load.constrain(p, row)
         discharge(p, row)
@@ -142,8 +116,8 @@ def _end(scratch: F64) -> None:
 def advance_block(scratch: F64) -> None:
     """One step in free flight of a block whose targets and normals are set: the Runge-Kutta step of `rigid_body`."""
     _begin(scratch)
-    h = scratch[_P + P_DT * LANES]
-    for j in range(E_THRUST * LANES):
+    h = scratch[_P + place.P_DT * LANES]
+    for j in range(place.E_THRUST * LANES):
         scratch[_MEAN + j] = 0.0
     for stage in range(4):
         speeds = _SPEEDS + 4 * LANES * ((stage + 1) // 2)
@@ -151,7 +125,7 @@ def advance_block(scratch: F64) -> None:
             scratch[_NOW + j] = scratch[speeds + j]
         reach = 0.0 if stage == 0 else 0.5 * h if stage < 3 else h
         _stage(scratch, reach, 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0)
-    for j in range(INTEGRATED * LANES):
+    for j in range(place.INTEGRATED * LANES):
         scratch[ROW_AT + j] += h * scratch[_MEAN + j]
     _end(scratch)
 
@@ -183,7 +157,7 @@ def _step_without(scratch: Any, same: Any, number: int) -> None:
 
 
 def _step_alone(params: Any, state: Any, fields: int) -> None:
-    step_row(carray(params, (PARAMS,)), carray(state, (fields,)), np.empty((3, EVALUATED)))
+    step_row(carray(params, (PARAMS,)), carray(state, (fields,)), np.empty((3, place.EVALUATED)))
 
 
 @cache
@@ -232,8 +206,8 @@ def _near_ground(scratch: F64) -> bool:
     lowest = -1.0
     for i in range(LANES):
         p, row = lane(scratch, _P + i), lane(scratch, ROW_AT + i)
-        reach = row[S_POS + 2] + p[D_GROUND_LEVEL] + p[D_GROUND_REACH] + _CLEARANCE_M
-        lowest = max(lowest, reach + abs(row[S_VEL + 2]) * p[P_DT] if p[P_GROUND] != 0.0 else -1.0)
+        reach = row[place.S_POS + 2] + p[place.D_GROUND_LEVEL] + p[place.D_GROUND_REACH] + _CLEARANCE_M
+        lowest = max(lowest, reach + abs(row[place.S_VEL + 2]) * p[place.P_DT] if p[place.P_GROUND] != 0.0 else -1.0)
     return lowest > 0.0
 
 
@@ -256,18 +230,18 @@ def _each_alone(step: int, scratch: F64) -> None:
 def _delay(scratch: F64) -> None:
     """New commands into the ring and the targets that act now: `transport_delay` for all lanes, whose cursor is one."""
     entries = (scratch.shape[0] - SCRATCH) // (4 * LANES)
-    cursor = int(scratch[ROW_AT + S_CURSOR * LANES]) + 1
+    cursor = int(scratch[ROW_AT + place.S_CURSOR * LANES]) + 1
     if cursor >= entries:
         cursor = 0
     at, ring = SCRATCH + 4 * LANES * cursor, scratch[SCRATCH:]
     for i in range(LANES):
-        scratch[ROW_AT + S_CURSOR * LANES + i] = cursor
+        scratch[ROW_AT + place.S_CURSOR * LANES + i] = cursor
     for j in range(4 * LANES):
-        command = min(max(scratch[ROW_AT + S_COMMAND * LANES + j], 0.0), 1.0)
+        command = min(max(scratch[ROW_AT + place.S_COMMAND * LANES + j], 0.0), 1.0)
         command = command if command == command else 0.0
-        scratch[ROW_AT + S_COMMAND * LANES + j] = scratch[at + j] = scratch[_TARGET + j] = command
+        scratch[ROW_AT + place.S_COMMAND * LANES + j] = scratch[at + j] = scratch[_TARGET + j] = command
     for i in range(LANES):
-        steps = scratch[_P + D_DELAY_STEPS * LANES + i]
+        steps = scratch[_P + place.D_DELAY_STEPS * LANES + i]
         if steps == 0.0:
             continue
         whole = int(steps)
@@ -301,7 +275,7 @@ def step_block(steps: tuple[int, int, int], normals: F64, k: int, scratch: F64) 
     """One step of a loaded block with the commands in its state and the k-th of the drawn `normals`."""
     for i in range(normals.shape[0]):
         for j in range(turbulence.NORMALS):
-            scratch[ROW_AT + (S_NORMALS + j) * LANES + i] = normals[i, k, j]
+            scratch[ROW_AT + (place.S_NORMALS + j) * LANES + i] = normals[i, k, j]
     if _near_ground(scratch):
         _each_alone(steps[1], scratch)
         return

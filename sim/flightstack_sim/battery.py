@@ -8,18 +8,7 @@ from __future__ import annotations
 
 import math
 
-from flightstack.effects.row import (
-    D_DISK,
-    P_CAPACITY,
-    P_DT,
-    P_EMPTY_V,
-    P_FULL_V,
-    P_HAS_BATTERY,
-    P_RESISTANCE,
-    S_CHARGE,
-    S_THRUST,
-    S_VOLTAGE,
-)
+from flightstack.effects import row as at
 from flightstack.jit import njit
 from flightstack.types import F64
 
@@ -29,16 +18,16 @@ FIGURE_OF_MERIT = 0.6
 @njit
 def discharge(p: F64, row: F64) -> None:
     """Take one step's charge out of the battery and set the voltage that the next step sees; 0 V without battery."""
-    if p[P_HAS_BATTERY] == 0.0:
-        row[S_VOLTAGE] = 0.0
+    if p[at.P_HAS_BATTERY] == 0.0:
+        row[at.S_VOLTAGE] = 0.0
         return
     power = 0.0
     for i in range(4):
-        thrust = max(row[S_THRUST + i], 0.0)
-        power += thrust * math.sqrt(thrust / p[D_DISK])
+        thrust = max(row[at.S_THRUST + i], 0.0)
+        power += thrust * math.sqrt(thrust / p[at.D_DISK])
     power /= FIGURE_OF_MERIT
-    open_circuit = p[P_EMPTY_V] + (p[P_FULL_V] - p[P_EMPTY_V]) * row[S_CHARGE]
-    inside = max(open_circuit * open_circuit - 4.0 * p[P_RESISTANCE] * power, 0.0)
+    open_circuit = p[at.P_EMPTY_V] + (p[at.P_FULL_V] - p[at.P_EMPTY_V]) * row[at.S_CHARGE]
+    inside = max(open_circuit * open_circuit - 4.0 * p[at.P_RESISTANCE] * power, 0.0)
     voltage = 0.5 * (open_circuit + math.sqrt(inside))
-    row[S_VOLTAGE] = voltage
-    row[S_CHARGE] = max(row[S_CHARGE] - power / voltage * p[P_DT] / p[P_CAPACITY], 0.0)
+    row[at.S_VOLTAGE] = voltage
+    row[at.S_CHARGE] = max(row[at.S_CHARGE] - power / voltage * p[at.P_DT] / p[at.P_CAPACITY], 0.0)

@@ -9,27 +9,9 @@ from __future__ import annotations
 
 import math
 
+from flightstack.effects import row as at
 from flightstack.effects import slung_load
-from flightstack.effects.row import (
-    D_ARM,
-    D_GROUND_ARM,
-    D_GROUND_C,
-    D_GROUND_K,
-    D_GROUND_LEVEL,
-    D_GROUND_REACH,
-    D_INERTIA,
-    D_MASS,
-    P_DT,
-    P_GROUND,
-    S_ANGULAR,
-    S_FORCE,
-    S_NORMAL,
-    S_POS,
-    S_Q,
-    S_RATE,
-    S_VEL,
-    Vec,
-)
+from flightstack.effects.row import Vec
 from flightstack.jit import njit
 from flightstack.types import F64
 
@@ -39,7 +21,7 @@ FRICTION = 0.7
 @njit
 def near(p: F64, pos_d: float) -> bool:
     """Whether a contact point may touch at this height of the CoM."""
-    return bool(p[P_GROUND] != 0.0 and pos_d + p[D_GROUND_LEVEL] + p[D_GROUND_REACH] > 0.0)
+    return bool(p[at.P_GROUND] != 0.0 and pos_d + p[at.D_GROUND_LEVEL] + p[at.D_GROUND_REACH] > 0.0)
 
 
 @njit
@@ -49,15 +31,15 @@ def push(p: F64, y: F64, down: Vec) -> tuple[float, float, float, float]:
     `y`: integrated state; `down`: the world's down axis in the body, FRD.
     """
     total = about_x = about_y = about_z = 0.0
-    height = y[S_POS + 2] + p[D_GROUND_LEVEL]
-    wx, wy, wz = y[S_RATE], y[S_RATE + 1], y[S_RATE + 2]
+    height = y[at.S_POS + 2] + p[at.D_GROUND_LEVEL]
+    wx, wy, wz = y[at.S_RATE], y[at.S_RATE + 1], y[at.S_RATE + 2]
     for i in range(4):
-        ax, ay = p[D_ARM + 3 * i], p[D_ARM + 3 * i + 1]  # r = (ax, ay, 0)
+        ax, ay = p[at.D_ARM + 3 * i], p[at.D_ARM + 3 * i + 1]  # r = (ax, ay, 0)
         depth = height + down[0] * ax + down[1] * ay
         if depth <= 0.0:
             continue
-        sinking = y[S_VEL + 2] - down[0] * wz * ay + down[1] * wz * ax + down[2] * (wx * ay - wy * ax)
-        force = p[D_GROUND_K] * depth + p[D_GROUND_C] * sinking
+        sinking = y[at.S_VEL + 2] - down[0] * wz * ay + down[1] * wz * ax + down[2] * (wx * ay - wy * ax)
+        force = p[at.D_GROUND_K] * depth + p[at.D_GROUND_C] * sinking
         if force > 0.0:  # the force is -force * down, its torque r x that
             total += force
             about_x -= ay * down[2] * force
@@ -72,45 +54,45 @@ def stick(p: F64, row: F64, down: Vec) -> None:
 
     An impulse j spread evenly over the step also takes j dt / 2m off the path: what sticks doesn't creep.
     """
-    dt = p[P_DT]
-    impulse = FRICTION * row[S_NORMAL] * dt
-    vn, ve = row[S_VEL], row[S_VEL + 1]
+    dt = p[at.P_DT]
+    impulse = FRICTION * row[at.S_NORMAL] * dt
+    vn, ve = row[at.S_VEL], row[at.S_VEL + 1]
     speed = math.sqrt(vn * vn + ve * ve)
     if speed > 0.0:
-        share = min(1.0, impulse / (p[D_MASS] * speed))
+        share = min(1.0, impulse / (p[at.D_MASS] * speed))
         dn, de = -share * vn, -share * ve
-        row[S_VEL] += dn
-        row[S_VEL + 1] += de
-        row[S_POS] += 0.5 * dt * dn
-        row[S_POS + 1] += 0.5 * dt * de
+        row[at.S_VEL] += dn
+        row[at.S_VEL + 1] += de
+        row[at.S_POS] += 0.5 * dt * dn
+        row[at.S_POS + 1] += 0.5 * dt * de
         _add_force(row, dn / dt, de / dt)
         slung_load.follow(p, row, dn, de)
-    turning = row[S_RATE] * down[0] + row[S_RATE + 1] * down[1] + row[S_RATE + 2] * down[2]
+    turning = row[at.S_RATE] * down[0] + row[at.S_RATE + 1] * down[1] + row[at.S_RATE + 2] * down[2]
     if turning != 0.0:
-        gx, gy, gz = down[0] / p[D_INERTIA], down[1] / p[D_INERTIA + 1], down[2] / p[D_INERTIA + 2]
+        gx, gy, gz = down[0] / p[at.D_INERTIA], down[1] / p[at.D_INERTIA + 1], down[2] / p[at.D_INERTIA + 2]
         stopping = abs(turning) / (gx * down[0] + gy * down[1] + gz * down[2])  # angular impulse that ends the turning
-        twist = -math.copysign(min(stopping, impulse * p[D_GROUND_ARM]), turning)
+        twist = -math.copysign(min(stopping, impulse * p[at.D_GROUND_ARM]), turning)
         _turn(row, (twist * gx, twist * gy, twist * gz), dt)
 
 
 @njit
 def _add_force(row: F64, acc_n: float, acc_e: float) -> None:
     """Add a horizontal acceleration (m/s^2, NED) to the specific force in the body."""
-    w, x, y, z = row[S_Q], row[S_Q + 1], row[S_Q + 2], row[S_Q + 3]
-    row[S_FORCE] += (1.0 - 2.0 * (y * y + z * z)) * acc_n + 2.0 * (x * y + w * z) * acc_e
-    row[S_FORCE + 1] += 2.0 * (x * y - w * z) * acc_n + (1.0 - 2.0 * (x * x + z * z)) * acc_e
-    row[S_FORCE + 2] += 2.0 * (x * z + w * y) * acc_n + 2.0 * (y * z - w * x) * acc_e
+    w, x, y, z = row[at.S_Q], row[at.S_Q + 1], row[at.S_Q + 2], row[at.S_Q + 3]
+    row[at.S_FORCE] += (1.0 - 2.0 * (y * y + z * z)) * acc_n + 2.0 * (x * y + w * z) * acc_e
+    row[at.S_FORCE + 1] += 2.0 * (x * y - w * z) * acc_n + (1.0 - 2.0 * (x * x + z * z)) * acc_e
+    row[at.S_FORCE + 2] += 2.0 * (x * z + w * y) * acc_n + 2.0 * (y * z - w * x) * acc_e
 
 
 @njit
 def _turn(row: F64, change: Vec, dt: float) -> None:
     """Change the body rates (rad/s, FRD), and the attitude by half of that over dt."""
     for axis in range(3):
-        row[S_RATE + axis] += change[axis]
-        row[S_ANGULAR + axis] += change[axis] / dt
+        row[at.S_RATE + axis] += change[axis]
+        row[at.S_ANGULAR + axis] += change[axis] / dt
     hx, hy, hz = 0.25 * dt * change[0], 0.25 * dt * change[1], 0.25 * dt * change[2]  # q (x) (1, h)
-    w, x, y, z = row[S_Q], row[S_Q + 1], row[S_Q + 2], row[S_Q + 3]
-    row[S_Q] -= x * hx + y * hy + z * hz
-    row[S_Q + 1] += w * hx + y * hz - z * hy
-    row[S_Q + 2] += w * hy + z * hx - x * hz
-    row[S_Q + 3] += w * hz + x * hy - y * hx
+    w, x, y, z = row[at.S_Q], row[at.S_Q + 1], row[at.S_Q + 2], row[at.S_Q + 3]
+    row[at.S_Q] -= x * hx + y * hy + z * hz
+    row[at.S_Q + 1] += w * hx + y * hz - z * hy
+    row[at.S_Q + 2] += w * hy + z * hx - x * hz
+    row[at.S_Q + 3] += w * hz + x * hy - y * hx

@@ -19,29 +19,7 @@ from flightstack.effects import (
     slung_load,
     turbulence,
 )
-from flightstack.effects.row import (
-    E_FORCE,
-    E_NORMAL,
-    E_THRUST,
-    EVALUATED,
-    P_FULL_V,
-    P_HAS_BATTERY,
-    S_ANGULAR,
-    S_CHARGE,
-    S_COMMAND,
-    S_FORCE,
-    S_NORMAL,
-    S_NORMALS,
-    S_POS,
-    S_Q,
-    S_RATE,
-    S_RING,
-    S_THRUST,
-    S_U,
-    S_VEL,
-    S_VOLTAGE,
-    S_WIND,
-)
+from flightstack.effects import row as at
 from flightstack.jit import njit
 from flightstack.types import F64, InputError, Tuple3, Tuple4
 from flightstack.vehicle import Vehicle, with_effects
@@ -111,7 +89,7 @@ class Plant(Protocol):
 @njit
 def step_rows(state: F64, params: F64) -> None:
     """One step of each of N vehicles: state (N, ...), commands and normals included, params (N, PARAMS)."""
-    work = np.empty((3, EVALUATED))
+    work = np.empty((3, at.EVALUATED))
     for i in range(state.shape[0]):
         step_row(params[i], state[i], work)
 
@@ -119,12 +97,12 @@ def step_rows(state: F64, params: F64) -> None:
 @njit
 def run_rows(state: F64, params: F64, normals: F64, steps: int) -> None:
     """`steps` steps with the same commands; normals (steps, N, 5), or (0, N, 5) for steps without gusts."""
-    work = np.empty((3, EVALUATED))
+    work = np.empty((3, at.EVALUATED))
     for k in range(steps):
         for i in range(state.shape[0]):
             if normals.shape[0] > 0:
                 for j in range(turbulence.NORMALS):
-                    state[i, S_NORMALS + j] = normals[k, i, j]
+                    state[i, at.S_NORMALS + j] = normals[k, i, j]
             step_row(params[i], state[i], work)
 
 
@@ -134,29 +112,29 @@ def evaluate_rows(state: F64, params: F64) -> None:
 
     Reads position, velocity, attitude, rates, motors' u, voltage, load and gust states; friction has no part in it.
     """
-    work = np.empty((2, EVALUATED))
+    work = np.empty((2, at.EVALUATED))
     y, dy = work[0], work[1]
     for i in range(state.shape[0]):
         row, p = state[i], params[i]
-        for k in range(EVALUATED):  # a copy of slices takes 2 s to compile: it may fail, and would say so
+        for k in range(at.EVALUATED):  # a copy of slices takes 2 s to compile: it may fail, and would say so
             y[k] = row[k]
-        u = (row[S_U], row[S_U + 1], row[S_U + 2], row[S_U + 3])
-        evaluate(p, y, rotor_speeds(p, u), air_velocity(p, row), battery_sag.factor(p, row[S_VOLTAGE]), dy)
+        u = (row[at.S_U], row[at.S_U + 1], row[at.S_U + 2], row[at.S_U + 3])
+        evaluate(p, y, rotor_speeds(p, u), air_velocity(p, row), battery_sag.factor(p, row[at.S_VOLTAGE]), dy)
         for j in range(3):
-            row[S_FORCE + j] = dy[E_FORCE + j]
-            row[S_ANGULAR + j] = dy[S_RATE + j]
-        row[S_NORMAL] = dy[E_NORMAL]
+            row[at.S_FORCE + j] = dy[at.E_FORCE + j]
+            row[at.S_ANGULAR + j] = dy[at.S_RATE + j]
+        row[at.S_NORMAL] = dy[at.E_NORMAL]
         for j in range(4):
-            row[S_THRUST + j] = dy[E_THRUST + j]
+            row[at.S_THRUST + j] = dy[at.E_THRUST + j]
 
 
 def state_rows(params: F64, *, dt_us: int, max_delay_s: float = MAX_DELAY_S) -> F64:
     """State rows of N vehicles at rest on the ground at the origin, facing north, motors off, battery full."""
     entries = int(np.ceil(max_delay_s / (1e-6 * dt_us))) + 2
-    state = np.zeros((params.shape[0], S_RING + 4 * entries))
-    state[:, S_Q] = 1.0
-    state[:, S_CHARGE] = 1.0
-    state[:, S_VOLTAGE] = np.where(params[:, P_HAS_BATTERY] != 0.0, params[:, P_FULL_V], 0.0)
+    state = np.zeros((params.shape[0], at.S_RING + 4 * entries))
+    state[:, at.S_Q] = 1.0
+    state[:, at.S_CHARGE] = 1.0
+    state[:, at.S_VOLTAGE] = np.where(params[:, at.P_HAS_BATTERY] != 0.0, params[:, at.P_FULL_V], 0.0)
     for row in state:
         slung_load.hang(row)
     evaluate_rows(state, params)
@@ -168,7 +146,7 @@ class GustDraws:
 
     def __init__(self, seed: int, state: F64) -> None:
         self._rng = np.random.default_rng(seed)
-        self._inputs = state[:, S_NORMALS : S_NORMALS + turbulence.NORMALS]
+        self._inputs = state[:, at.S_NORMALS : at.S_NORMALS + turbulence.NORMALS]
         self._block = np.empty((0, *self._inputs.shape))
         self._next = 0
         self._inputs[:] = self._rng.standard_normal(self._inputs.shape)
@@ -219,15 +197,15 @@ class NativePlant:
         self._gusts = GustDraws(seed, self._state)
         row = self.state_row = self._state[0]
         self.params_row = self._params[0]
-        self._shown = row[:S_RING]
-        self._command = row[S_COMMAND : S_COMMAND + 4]
-        self.pos_ned_m = row[S_POS : S_POS + 3]
-        self.vel_ned_mps = row[S_VEL : S_VEL + 3]
-        self.q_ned_frd = row[S_Q : S_Q + 4]
-        self.rate_frd_radps = row[S_RATE : S_RATE + 3]
-        self.specific_force_frd_mps2 = row[S_FORCE : S_FORCE + 3]
-        self.angular_acceleration_frd_radps2 = row[S_ANGULAR : S_ANGULAR + 3]
-        self.motor_u = row[S_U : S_U + 4]
+        self._shown = row[: at.S_RING]
+        self._command = row[at.S_COMMAND : at.S_COMMAND + 4]
+        self.pos_ned_m = row[at.S_POS : at.S_POS + 3]
+        self.vel_ned_mps = row[at.S_VEL : at.S_VEL + 3]
+        self.q_ned_frd = row[at.S_Q : at.S_Q + 4]
+        self.rate_frd_radps = row[at.S_RATE : at.S_RATE + 3]
+        self.specific_force_frd_mps2 = row[at.S_FORCE : at.S_FORCE + 3]
+        self.angular_acceleration_frd_radps2 = row[at.S_ANGULAR : at.S_ANGULAR + 3]
+        self.motor_u = row[at.S_U : at.S_U + 4]
         self.accel_bias_frd_mps2 = np.zeros(3)
         self.gyro_bias_frd_radps = np.zeros(3)
         self.misalignment_q = np.zeros(4)
@@ -236,12 +214,12 @@ class NativePlant:
     @property
     def battery_v(self) -> float:
         """Voltage at the battery's terminals; 0 where the vehicle has no [battery]."""
-        return float(self._state[0, S_VOLTAGE])
+        return float(self._state[0, at.S_VOLTAGE])
 
     @property
     def on_ground(self) -> bool:
         """Whether the ground pushed during the last step."""
-        return bool(self._state[0, S_NORMAL] > 0.0)
+        return bool(self._state[0, at.S_NORMAL] > 0.0)
 
     def step(self, motor_command: F64) -> None:
         """Advance by dt_us with these commands (4,), normalised 0..1, held; what is not a number stops its motor."""
@@ -276,17 +254,17 @@ class NativePlant:
         row = tuple(self._shown.tolist())
         return Truth(
             self.t_us,
-            row[S_POS : S_POS + 3],
-            row[S_VEL : S_VEL + 3],
-            row[S_Q : S_Q + 4],
-            row[S_RATE : S_RATE + 3],
-            row[S_FORCE : S_FORCE + 3],
-            row[S_ANGULAR : S_ANGULAR + 3],
-            row[S_U : S_U + 4],
-            row[S_THRUST : S_THRUST + 4],
-            row[S_WIND : S_WIND + 3],
-            row[S_VOLTAGE],
-            row[S_NORMAL] > 0.0,
+            row[at.S_POS : at.S_POS + 3],
+            row[at.S_VEL : at.S_VEL + 3],
+            row[at.S_Q : at.S_Q + 4],
+            row[at.S_RATE : at.S_RATE + 3],
+            row[at.S_FORCE : at.S_FORCE + 3],
+            row[at.S_ANGULAR : at.S_ANGULAR + 3],
+            row[at.S_U : at.S_U + 4],
+            row[at.S_THRUST : at.S_THRUST + 4],
+            row[at.S_WIND : at.S_WIND + 3],
+            row[at.S_VOLTAGE],
+            row[at.S_NORMAL] > 0.0,
         )
 
     def set_effect(self, name: str, values: Mapping[str, float]) -> None:

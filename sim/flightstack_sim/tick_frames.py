@@ -8,10 +8,9 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flightstack.jit import Entry, njit
-from flightstack.types import F64
+from flightstack.types import F64, U8
 from flightstack_sim.autopilot.setpoint import ControlKind
 from flightstack_sim.view import View
 from mavlink_bridge import messages as m
@@ -103,7 +102,7 @@ def _write(
 
 
 @njit
-def _frame(kind: int, sender: tuple[int, int, int], data: NDArray[np.uint8], out: NDArray[np.uint8], at: int) -> int:
+def _frame(kind: int, sender: tuple[int, int, int], data: U8, out: U8, at: int) -> int:
     """A MAVLink 2 frame round the payload, its trailing zeros cut; where it ends."""
     size = _SIZES[kind]
     while size > 1 and data[size - 1] == 0:

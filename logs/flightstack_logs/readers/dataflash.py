@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flightstack.types import InputError
+from flightstack.types import I64, InputError
 from flightstack_logs import ardupilot
 from flightstack_logs.tables import About, Log, Table
 
@@ -150,14 +149,14 @@ def _stamp(kind: _Kind) -> tuple[str, float] | None:
     return None
 
 
-def _times(rows: np.ndarray, stamp: tuple[str, float]) -> NDArray[np.int64]:
+def _times(rows: np.ndarray, stamp: tuple[str, float]) -> I64:
     """Microseconds since boot; -1 where that is no time."""
     t_us = stamp[1] * _double(rows[stamp[0]])
     good = (t_us >= 0.0) & (t_us < _LATEST_US)
     return np.where(good, t_us, -1.0).astype(np.int64)
 
 
-def _clock(kinds: Iterable[_Kind], data: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _clock(kinds: Iterable[_Kind], data: bytes) -> tuple[I64, I64]:
     """Places in the file where a time stands, in order, and these times."""
     places, times = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for kind in kinds:
@@ -171,7 +170,7 @@ def _clock(kinds: Iterable[_Kind], data: bytes) -> tuple[NDArray[np.int64], NDAr
     return at[order], t_us[order]
 
 
-def _tables(kind: _Kind, data: bytes, clock: tuple[NDArray[np.int64], NDArray[np.int64]]) -> dict[str, Table]:
+def _tables(kind: _Kind, data: bytes, clock: tuple[I64, I64]) -> dict[str, Table]:
     """The messages of a type as tables, one for each instance; one that says no time has the time of the one before."""
     if not kind.at or not len(clock[0]):
         return {}
@@ -194,7 +193,7 @@ def _tables(kind: _Kind, data: bytes, clock: tuple[NDArray[np.int64], NDArray[np
     return found
 
 
-def _table(name: str, kind: _Kind, rows: np.ndarray, stamps: NDArray[np.int64]) -> Table:
+def _table(name: str, kind: _Kind, rows: np.ndarray, stamps: I64) -> Table:
     order = np.argsort(stamps, kind="stable")
     stamp = _stamp(kind)
     wanted = [column for column in kind.row.names or () if column not in ("_head", stamp and stamp[0])]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from flightstack.types import I64, U8
 from flightstack_logs import rows
 from flightstack_logs.log_clock import aligned
 from flightstack_logs.mcap_file import McapChannel, McapContent, scan
@@ -28,7 +28,7 @@ def read_mcap(path: Path, data: bytes, *, align: bool = True) -> Log:
             notes.append(f"topic {channel.topic}: has a second channel; skipped")
             continue
         about[channel.topic] = _about(channel)
-        bodies: list[bytes] | NDArray[np.uint8]
+        bodies: list[bytes] | U8
         times, bodies = _in_time(channel)
         places = None
         try:
@@ -66,7 +66,7 @@ def _with_packed(content: McapContent, blocks: dict[str, McapChannel]) -> list[M
     return found + [McapChannel(topic, "", {"kind": "raw"}, None) for topic in alone if topic not in known]
 
 
-def _in_time(channel: McapChannel) -> tuple[NDArray[np.int64], list[bytes]]:
+def _in_time(channel: McapChannel) -> tuple[I64, list[bytes]]:
     """Log times in microseconds and the messages, in ascending order of time (equal times: as written)."""
     times = (np.array(channel.times_ns, dtype=np.uint64) // np.uint64(1000)).astype(np.int64)
     if len(times) < 2 or bool(np.all(times[1:] >= times[:-1])):
@@ -75,7 +75,7 @@ def _in_time(channel: McapChannel) -> tuple[NDArray[np.int64], list[bytes]]:
     return times[order], [channel.messages[index] for index in order.tolist()]
 
 
-def _columns(channel: McapChannel, bodies: list[bytes] | NDArray[np.uint8]) -> dict[str, np.ndarray] | None:
+def _columns(channel: McapChannel, bodies: list[bytes] | U8) -> dict[str, np.ndarray] | None:
     """The messages as columns, or None where they are not meant to be."""
     schema = channel.schema
     if schema is None or channel.message_encoding != "protobuf" or not len(bodies):

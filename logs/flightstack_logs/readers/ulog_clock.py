@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flightstack.types import F64
+from flightstack.types import F64, I64, Mask
 
 _SLOWEST_US = 0.25e6
 """Usual time between two messages of a topic that tells the time."""
@@ -42,7 +41,7 @@ class Stamped:
     """One topic: where its messages lie in the file (N,), ascending, and their stamps (N,), us."""
 
     name: str
-    place: NDArray[np.int64]
+    place: I64
     t_us: F64
 
 
@@ -51,7 +50,7 @@ class Restamped:
     """By how much each message's time must move (N,), us, and whether its stamp can be believed (N,)."""
 
     added_us: F64
-    keep: NDArray[np.bool_]
+    keep: Mask
 
 
 def on_one_clock(stamped: Sequence[Stamped]) -> tuple[list[Restamped], list[str]]:
@@ -73,7 +72,7 @@ def on_one_clock(stamped: Sequence[Stamped]) -> tuple[list[Restamped], list[str]
     return out, [*_says_back(clock), *_says_off(off)]
 
 
-def _among(done: Restamped, sane: NDArray[np.bool_]) -> Restamped:
+def _among(done: Restamped, sane: Mask) -> Restamped:
     """The same for all messages of a topic, of which those that are not sane are not believed."""
     added, keep = np.zeros(len(sane)), np.zeros(len(sane), np.bool_)
     added[sane], keep[sane] = done.added_us, done.keep
@@ -96,7 +95,7 @@ def _fastest(fast: Sequence[Stamped]) -> Sequence[Stamped]:
     return [each for k, each in enumerate(by_rate) if k < _LEAST_TOPICS or _usual_us(each.t_us) <= most]
 
 
-def _clock(fast: Sequence[Stamped]) -> tuple[NDArray[np.int64], F64]:
+def _clock(fast: Sequence[Stamped]) -> tuple[I64, F64]:
     """Places in the file (P,) and the time there (P,), us: by the middle one of the topics.
 
     They begin where more than half of the topics have said one.
@@ -111,7 +110,7 @@ def _clock(fast: Sequence[Stamped]) -> tuple[NDArray[np.int64], F64]:
     return place[whole], middle
 
 
-def _time_at(each: Stamped, place: NDArray[np.int64]) -> F64:
+def _time_at(each: Stamped, place: I64) -> F64:
     """(P,) a topic's time between its messages, held where it jumps; infinite before the first, long after the last."""
     steps = np.diff(each.t_us)
     jumps = np.flatnonzero((steps < 0.0) | (steps > 3.0 * _usual_us(each.t_us)))
@@ -142,7 +141,7 @@ def _added(clock: F64) -> F64:
     return np.cumsum(steps)
 
 
-def _near(each: Stamped, place: NDArray[np.int64], clock: F64) -> NDArray[np.int64]:
+def _near(each: Stamped, place: I64, clock: F64) -> I64:
     """(N,) the place of each message, or where its time is far from its own the best close by: topics jump in turn."""
     at = np.searchsorted(place, each.place, side="right") - 1
     near = np.clip(at + np.array([[0], [-20], [-5], [-1], [1], [5], [20]]), 0, len(place) - 1)
@@ -151,7 +150,7 @@ def _near(each: Stamped, place: NDArray[np.int64], clock: F64) -> NDArray[np.int
     return np.asarray(near[best, np.arange(len(at))])
 
 
-def _believed(t_us: F64, clock: F64, after: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _believed(t_us: F64, clock: F64, after: Mask) -> Mask:
     """(N,) messages whose stamps are the file's time; all of a topic that is slow.
 
     One stamp that is behind, but not behind its topic's own, was only written late.  A topic that keeps to a clock of
@@ -169,7 +168,7 @@ def _believed(t_us: F64, clock: F64, after: NDArray[np.bool_]) -> NDArray[np.boo
     return good if len(usual) and usual.mean() > 0.5 else _until_back(t_us)
 
 
-def _until_back(t_us: F64) -> NDArray[np.bool_]:
+def _until_back(t_us: F64) -> Mask:
     if not _is_fast(t_us):
         return np.ones(len(t_us), np.bool_)
     return np.asarray(np.cumsum(np.diff(t_us, prepend=t_us[0]) < -_MOST_BACK * _usual_us(t_us)) == 0)

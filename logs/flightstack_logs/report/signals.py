@@ -8,7 +8,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.types import F64
+from flightstack.types import F64, Mask
 from flightstack_logs.report.flight import ReportSamples
 
 MAX_GAP_S = 0.25
@@ -126,7 +126,7 @@ def decimate(signal: ReportSamples, points: int) -> ReportSamples:
     return ReportSamples(t, out)
 
 
-def _first_row(hit: NDArray[np.bool_], group: NDArray[np.intp], groups: int) -> NDArray[np.intp]:
+def _first_row(hit: Mask, group: NDArray[np.intp], groups: int) -> NDArray[np.intp]:
     """Index of the first hit in each group; 0 where there is none (its value is NaN anyway)."""
     index = np.flatnonzero(hit)
     found, where = np.unique(group[index], return_index=True)

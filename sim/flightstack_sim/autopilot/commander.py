@@ -14,44 +14,18 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from flightstack_sim.autopilot import arming, failsafe, modes, notices
+from flightstack_sim.autopilot import arming, failsafe, modes, notices, requests
 from flightstack_sim.autopilot.arming import Checks, Conditions
 from flightstack_sim.autopilot.failsafe import Action, Failsafe, FailsafeStatus, battery_warning
 from flightstack_sim.autopilot.goal import Goal
 from flightstack_sim.autopilot.modes import Mode
 from flightstack_sim.autopilot.notices import Notice
 from flightstack_sim.autopilot.params import Params
-from flightstack_sim.autopilot.requests import (
-    ACCEPTED,
-    COMMAND_ARM,
-    COMMAND_LAND,
-    COMMAND_ORBIT,
-    COMMAND_SET_MODE,
-    COMMAND_START,
-    COMMAND_TAKEOFF,
-    COMMAND_TERMINATE,
-    CYCLE_US,
-    DENIED,
-    ESTIMATE_READY_US,
-    NEVER,
-    REPORT_US,
-    TEMPORARILY_REJECTED,
-    Answer,
-    ArmRequest,
-    FlyRequest,
-    GoRequest,
-    Inputs,
-    ModeRequest,
-    Replies,
-    Request,
-    StartRequest,
-    TerminateRequest,
-)
 
 _EXPLAINED_TO: Final = 190  # component id of mission planners: only they get the words of a refused mode
 _EXPLAIN_US: Final = 1_000_000
 
-_SILENCE: Final = Replies((), ())
+_SILENCE: Final = requests.Replies((), ())
 
 
 @dataclass(slots=True)
@@ -64,11 +38,11 @@ class CommanderState:
     kept: Mode = modes.HOLD
     """The mode that comes back after a disarm."""
     armed: bool = False
-    armed_at_us: int = NEVER
+    armed_at_us: int = requests.NEVER
     flown: bool = False
     """Taken off since arming."""
     landed: bool = True
-    landed_at_us: int = NEVER
+    landed_at_us: int = requests.NEVER
     takeoff_altitude_m: float = math.nan
     """Above the sea; NaN takes MIS_TAKEOFF_ALT."""
     action: Action = Action.NONE
@@ -76,8 +50,8 @@ class CommanderState:
     next_cycle_us: int = 0
     reported_for: Checks | None = None
     reported: tuple[Notice, ...] = ()
-    reported_at_us: int = NEVER
-    explained_at_us: int = NEVER
+    reported_at_us: int = requests.NEVER
+    explained_at_us: int = requests.NEVER
     goal: Goal | None = None
     """Where Hold or Orbit was sent; None: where it is."""
     gcs_lost: bool = True
@@ -102,13 +76,13 @@ class Commander:
     def __init__(self, params: Params) -> None:
         self._params = params
         self._notices: list[Notice] = []
-        self._answers: list[Answer] = []
+        self._answers: list[requests.Answer] = []
         self._failsafe = Failsafe(params)
-        self._inputs = Inputs(True, NEVER)
+        self._inputs = requests.Inputs(True, requests.NEVER)
         nothing = Conditions(estimate_ready=False, offboard_signal=False)
         self.state = CommanderState(arming.check(modes.HOLD, nothing))
 
-    def step(self, inputs: Inputs, now_us: int) -> Replies:
+    def step(self, inputs: requests.Inputs, now_us: int) -> requests.Replies:
         """Advance to `now_us`; requests are handled in their order, before the failsafes."""
         state, self._inputs = self.state, inputs
         if inputs.landed is not state.landed:
@@ -125,7 +99,7 @@ class Commander:
         for request in inputs.requests:
             self._handle(request, inputs, now_us)
         if now_us >= state.next_cycle_us:
-            state.next_cycle_us = now_us - now_us % CYCLE_US + CYCLE_US
+            state.next_cycle_us = now_us - now_us % requests.CYCLE_US + requests.CYCLE_US
             self._hear_gcs(inputs, now_us)
             self._check(inputs, now_us)
             self._apply_mode(now_us)
@@ -133,18 +107,18 @@ class Commander:
             self._report(now_us)
         if not self._notices and not self._answers:
             return _SILENCE
-        outputs = Replies(tuple(self._notices), tuple(self._answers))
+        outputs = requests.Replies(tuple(self._notices), tuple(self._answers))
         self._notices.clear()
         self._answers.clear()
         return outputs
 
     # --- the ten-times-a-second part ---
 
-    def _check(self, inputs: Inputs, now_us: int) -> None:
+    def _check(self, inputs: requests.Inputs, now_us: int) -> None:
         """Look at the conditions and evaluate the arming checks for the intended mode."""
         state = self.state
         age_us = now_us - inputs.last_setpoint_us
-        ready = now_us >= ESTIMATE_READY_US
+        ready = now_us >= requests.ESTIMATE_READY_US
         sticks = now_us - inputs.sticks_at_us < self._params.get("COM_RC_LOSS_T") * 1e6
         if sticks and state.armed:
             state.sticks_heard = True
@@ -163,7 +137,7 @@ class Commander:
         if conditions != state.checks.conditions or state.intended is not state.checks.mode:
             state.checks = arming.check(state.intended, conditions)
 
-    def _hear_gcs(self, inputs: Inputs, now_us: int) -> None:
+    def _hear_gcs(self, inputs: requests.Inputs, now_us: int) -> None:
         """Whether a ground station is there (COM_DL_LOSS_T)."""
         state = self.state
         lost = now_us - inputs.gcs_at_us > self._params.get("COM_DL_LOSS_T") * 1e6
@@ -221,7 +195,7 @@ class Commander:
     def _report(self, now_us: int) -> None:
         """Tell about the arming checks when they changed, at most every REPORT_US."""
         state = self.state
-        if state.checks != state.reported_for and now_us - state.reported_at_us >= REPORT_US:
+        if state.checks != state.reported_for and now_us - state.reported_at_us >= requests.REPORT_US:
             state.reported_for = state.checks
             burst = arming.report(state.checks)
             if burst != state.reported:
@@ -265,37 +239,39 @@ class Commander:
 
     # --- requests ---
 
-    def _handle(self, request: Request, inputs: Inputs, now_us: int) -> None:
-        if isinstance(request, ModeRequest):
+    def _handle(self, request: requests.Request, inputs: requests.Inputs, now_us: int) -> None:
+        if isinstance(request, requests.ModeRequest):
             self._check(inputs, now_us)  # a client's first setpoint and its wish for OFFBOARD come within a millisecond
             result = self._choose_by_number(request, now_us)
-            self._answers.append(Answer(request.sender, COMMAND_SET_MODE, result))
-        elif isinstance(request, ArmRequest):
+            self._answers.append(requests.Answer(request.sender, requests.COMMAND_SET_MODE, result))
+        elif isinstance(request, requests.ArmRequest):
             self._arm_or_disarm(request, inputs, now_us)
-        elif isinstance(request, GoRequest):
-            self._answers.append(Answer(request.sender, request.command, self._go(request, now_us)))
-        elif isinstance(request, TerminateRequest):
+        elif isinstance(request, requests.GoRequest):
+            self._answers.append(requests.Answer(request.sender, request.command, self._go(request, now_us)))
+        elif isinstance(request, requests.TerminateRequest):
             self._terminate(now_us)
-            self._answers.append(Answer(request.sender, COMMAND_TERMINATE, ACCEPTED))
-        elif isinstance(request, StartRequest):
-            self._answers.append(Answer(request.sender, COMMAND_START, self._start_mission(inputs, now_us)))
+            self._answers.append(requests.Answer(request.sender, requests.COMMAND_TERMINATE, requests.ACCEPTED))
+        elif isinstance(request, requests.StartRequest):
+            self._answers.append(
+                requests.Answer(request.sender, requests.COMMAND_START, self._start_mission(inputs, now_us))
+            )
         else:
-            self._answers.append(Answer(request.sender, request.command, self._fly(request, now_us)))
+            self._answers.append(requests.Answer(request.sender, request.command, self._fly(request, now_us)))
 
-    def _choose_by_number(self, request: ModeRequest, now_us: int) -> int:
+    def _choose_by_number(self, request: requests.ModeRequest, now_us: int) -> int:
         """DO_SET_MODE and SET_MODE."""
         mode = modes.mode_for(request.main, request.sub)
         if mode is None or mode is modes.TERMINATION:
             auto = request.main == modes.MAIN_AUTO
             self._notices.append(notices.UNSUPPORTED_AUTO_MODE if auto else notices.UNSUPPORTED_MAIN_MODE)
-            return TEMPORARILY_REJECTED
+            return requests.TEMPORARILY_REJECTED
         if self._choose(mode, now_us):
-            return ACCEPTED
+            return requests.ACCEPTED
         state = self.state
         if request.sender.component == _EXPLAINED_TO and now_us - state.explained_at_us >= _EXPLAIN_US:
             state.explained_at_us = now_us
             self._notices.append(notices.mode_not_available(mode.title, mode.custom_mode, mode.nav_state))
-        return TEMPORARILY_REJECTED
+        return requests.TEMPORARILY_REJECTED
 
     def _choose(self, mode: Mode, now_us: int) -> bool:
         """Make `mode` the intention; a disarmed vehicle takes any, an armed one only what can run."""
@@ -309,19 +285,19 @@ class Commander:
         self._apply_mode(now_us, chosen=True)
         return True
 
-    def _fly(self, request: FlyRequest, now_us: int) -> int:
+    def _fly(self, request: requests.FlyRequest, now_us: int) -> int:
         """Take off, land or return."""
-        if request.command == COMMAND_TAKEOFF:
+        if request.command == requests.COMMAND_TAKEOFF:
             chosen, notice = self._choose(modes.TAKEOFF, now_us), None
             if chosen:
                 self.state.takeoff_altitude_m = request.altitude_m
-        elif request.command == COMMAND_LAND:
+        elif request.command == requests.COMMAND_LAND:
             chosen, notice = self._choose(modes.LAND, now_us), notices.LANDING_HERE
         else:
             chosen, notice = self._choose(modes.RTL, now_us), notices.RETURNING
         if chosen and notice is not None:
             self._notices.append(notice)
-        return ACCEPTED if chosen else TEMPORARILY_REJECTED
+        return requests.ACCEPTED if chosen else requests.TEMPORARILY_REJECTED
 
     def _terminate(self, now_us: int) -> None:
         """DO_FLIGHTTERMINATION: the motors stop, for good."""
@@ -332,35 +308,35 @@ class Commander:
             self._notices.append(notices.TERMINATED)
         self._apply_mode(now_us)
 
-    def _start_mission(self, inputs: Inputs, now_us: int) -> int:
+    def _start_mission(self, inputs: requests.Inputs, now_us: int) -> int:
         """MISSION_START: choose the mode, and arm."""
         self._check(inputs, now_us)
         if not inputs.mission_valid or not self._choose(modes.MISSION, now_us):
             self._notices.append(notices.NO_VALID_MISSION)
-            return DENIED
+            return requests.DENIED
         if not self.state.armed:
             if not self.state.checks.arms(modes.MISSION):
                 self._notices.append(notices.ARMING_DENIED)
-                return TEMPORARILY_REJECTED
+                return requests.TEMPORARILY_REJECTED
             self._arm(notices.BY_MISSION_START, now_us)
             self._apply_mode(now_us)
-        return ACCEPTED
+        return requests.ACCEPTED
 
-    def _go(self, request: GoRequest, now_us: int) -> int:
+    def _go(self, request: requests.GoRequest, now_us: int) -> int:
         """Reposition (in Hold) or orbit; without the change of mode the goal counts where Hold flies already."""
-        mode = modes.ORBIT if request.command == COMMAND_ORBIT else modes.HOLD
+        mode = modes.ORBIT if request.command == requests.COMMAND_ORBIT else modes.HOLD
         if request.changes_mode and not self._choose(mode, now_us):
             orbit = mode is modes.ORBIT
             self._notices.append(notices.ORBIT_REJECTED if orbit else notices.REPOSITION_REJECTED)
-            return TEMPORARILY_REJECTED
+            return requests.TEMPORARILY_REJECTED
         if self.state.intended is mode:
             self.state.goal = request.goal
-        return ACCEPTED
+        return requests.ACCEPTED
 
-    def _arm_or_disarm(self, request: ArmRequest, inputs: Inputs, now_us: int) -> None:
+    def _arm_or_disarm(self, request: requests.ArmRequest, inputs: requests.Inputs, now_us: int) -> None:
         """COMPONENT_ARM_DISARM; a value that is neither 0 nor 1 gets words but no answer, as on PX4."""
         state = self.state
-        result = ACCEPTED
+        result = requests.ACCEPTED
         if request.param == 1.0:
             if not state.armed:
                 self._check(inputs, now_us)
@@ -375,15 +351,15 @@ class Commander:
                         self._notices.append(notices.NO_GCS)
                     for sensor in state.checks.conditions.silent:
                         self._notices.append(Notice(0, 0, b"", notices.CRITICAL, notices.NO_DATA.format(sensor)))
-                    result = TEMPORARILY_REJECTED
+                    result = requests.TEMPORARILY_REJECTED
         elif request.param == 0.0:
             if state.armed and not state.landed and not request.force:
                 self._notices.append(notices.DISARMING_DENIED)
-                result = TEMPORARILY_REJECTED
+                result = requests.TEMPORARILY_REJECTED
             elif state.armed:
                 self._disarm(notices.BY_COMMAND)
         else:
             value = request.param if math.isfinite(request.param) else math.nan
             self._notices.append(notices.unsupported_arm_param(value))
             return
-        self._answers.append(Answer(request.sender, COMMAND_ARM, result))
+        self._answers.append(requests.Answer(request.sender, requests.COMMAND_ARM, result))
