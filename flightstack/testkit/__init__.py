@@ -1,7 +1,7 @@
 """The simulator as a test kit: a vehicle in one's own tests, moved by the test's clock.
 
-`Px4Sim` is what the pytest fixtures `px4_sim` and `px4_fleet` give; it also works without pytest.  `SteppedVehicle` is physics
-and sensors alone.  Nothing heavy is imported before one of them is asked for.
+`Px4Sim` is what the pytest fixtures `px4_sim` and `px4_fleet` give; it also works without pytest.  `SteppedVehicle` is
+physics and sensors alone.  Nothing heavy is imported before one of them is asked for.
 """
 
 from __future__ import annotations

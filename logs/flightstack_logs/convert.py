@@ -23,6 +23,8 @@ from flightstack_logs.topics import TOPICS, Field, Kind, Topic
 from flightstack_logs.writer import FlightLog
 
 _BLOCK = 4096
+_Rows = Iterator[tuple[int, int, str, object]]
+"""Time in microseconds, place of the table, topic, record."""
 _NO_NAME = re.compile(r"[^A-Za-z0-9_]+")
 
 
@@ -51,11 +53,16 @@ def convert(log: Log, path: Path) -> Converted:
         )
     whole = with_vehicle_topics(log)
     source = {"file": log.path.name, "kind": log.kind} | {f"note_{k}": note for k, note in enumerate(log.notes, 1)}
+    poses = _poses(whole)
     out = FlightLog.open(path, metadata={"source": source, **log.metadata}, overwrite=False)
+    topics = [_declared(out, whole, table) for table in whole.tables.values()]
+    rows = [_rows(place, topic, whole.tables[name]) for place, (name, topic) in enumerate(topics)]
+    return _written(out, log, rows, poses)
+
+
+def _written(out: FlightLog, log: Log, rows: list[_Rows], poses: _Poses | None) -> Converted:
+    """All rows in order of time; the file is taken away again where it can't be written."""
     try:
-        topics = [_declared(out, whole, table) for table in whole.tables.values()]
-        rows = [_rows(place, topic, whole.tables[name]) for place, (name, topic) in enumerate(topics)]
-        poses = _poses(whole)
         for t_us, _, topic, record in heapq.merge(*rows, key=lambda row: row[:2]):
             out.write(topic, t_us, record)
             if poses is not None and topic == "/vehicle/attitude":
@@ -63,9 +70,9 @@ def convert(log: Log, path: Path) -> Converted:
     finally:
         out.close()
     if out.failed is not None:
-        path.unlink(missing_ok=True)
+        out.path.unlink(missing_ok=True)
         raise InputError(f"{out.failed}; {log.path} is as it was")
-    return Converted(out.messages, len(topics))
+    return Converted(out.messages, len(rows))
 
 
 def _plain(log: Log, path: Path) -> Converted:
@@ -77,22 +84,12 @@ def _plain(log: Log, path: Path) -> Converted:
         raise InputError(f"log {log.path}: is an MCAP already; mend a damaged one with `flightstack log recover`")
     metadata = {name: entries for name, entries in log.metadata.items() if name != "log"}
     out = FlightLog.open(path, metadata=metadata, attachments=log.attachments, overwrite=False)
-    try:
-        rows: list[Iterator[tuple[int, int, str, object]]] = [
-            _rows(place, TOPICS[table.name], table) for place, table in enumerate(tables)
-        ]
-        rows += [_messages(place, each) for place, each in enumerate(raw, len(tables))]
-        for t_us, _, topic, record in heapq.merge(*rows, key=lambda row: row[:2]):
-            out.write(topic, t_us, record)
-    finally:
-        out.close()
-    if out.failed is not None:
-        path.unlink(missing_ok=True)
-        raise InputError(f"{out.failed}; {log.path} is as it was")
-    return Converted(out.messages, len(rows))
+    rows = [_rows(place, TOPICS[table.name], table) for place, table in enumerate(tables)]
+    rows += [_messages(place, each) for place, each in enumerate(raw, len(tables))]
+    return _written(out, log, rows, None)
 
 
-def _messages(place: int, raw: Messages) -> Iterator[tuple[int, int, str, object]]:
+def _messages(place: int, raw: Messages) -> _Rows:
     for t_us, data in zip(raw.t_us.tolist(), raw.data, strict=True):
         yield t_us, place, raw.name, data
 
@@ -122,7 +119,7 @@ def _type(values: np.ndarray) -> str:
     return {"f": "double", "i": "int64", "u": "int64", "b": "bool"}.get(values.dtype.kind, "string")
 
 
-def _rows(place: int, topic: Topic, table: Table) -> Iterator[tuple[int, int, str, object]]:
+def _rows(place: int, topic: Topic, table: Table) -> _Rows:
     """(time, place of the table, topic, record in the order of the fields), a block at a time."""
     if topic.kind is Kind.TABLE and topic.name == table.name:
         columns = [table.columns[field.name] for field in topic.fields]

@@ -68,6 +68,15 @@ class Table:
         return flat
 
 
+def plain(values: np.ndarray) -> np.ndarray:
+    """A column (N,) or (N, k) as a table holds it: float64, int64, bool or str; bytes are taken for UTF-8."""
+    if values.dtype.kind == "S":
+        return np.array([value.decode("utf-8", "replace") for value in values.tolist()], dtype=np.str_)
+    if values.dtype.kind in "bU":
+        return values
+    return values.astype(np.float64 if values.dtype.kind == "f" else np.int64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Messages:
     """The messages of one topic as they were logged: raw MAVLink, viewer messages, anything that is no table."""
@@ -112,6 +121,15 @@ class Log:
     metadata: dict[str, dict[str, str]]
     attachments: tuple[Attachment, ...]
     size_bytes: int
+
+    @classmethod
+    def of_tables(
+        cls, path: Path, kind: str, source: str, tables: dict[str, Table], notes: list[str], size_bytes: int,
+        *, complete: bool = True, schema: str = "", metadata: dict[str, dict[str, str]] | None = None,
+    ) -> Log:  # fmt: skip
+        """A log of other origin, tables alone; `schema`: where it is not named as the kind of file."""
+        about = {name: About("table", schema or kind, "", source, 0.0) for name in tables}
+        return cls(path, kind, complete, tuple(notes), tables, {}, about, metadata or {}, (), size_bytes)
 
     @property
     def span_us(self) -> tuple[int, int]:

@@ -17,9 +17,10 @@ from flightstack.types import InputError, TickRecord
 from flightstack_logs import scene as viewer
 from flightstack_logs.live.board import Board
 from flightstack_logs.live.page_server import HOST, PageServer
+from flightstack_logs.recorder import NoLog, Recorder
 from flightstack_logs.threaded import ThreadedLog
 from flightstack_logs.topics import Attachment
-from flightstack_logs.writer import FlightLog, Recorder
+from flightstack_logs.writer import FlightLog
 
 DEFAULT_PORT = 8765
 _PERIOD_S = 0.1
@@ -55,7 +56,7 @@ class LiveRecorder:
 
     def __init__(self, log: Recorder | None, port: int = DEFAULT_PORT) -> None:
         """InputError, one line, where a port is taken."""
-        self._log, self._board = log, Board()
+        self._log, self._board = NoLog() if log is None else log, Board()
         shown = FlightLog(Path("live"), _Nowhere())
         try:
             self._page = PageServer(port + 1, self._board)
@@ -73,17 +74,16 @@ class LiveRecorder:
     @property
     def failed(self) -> str | None:
         """The first thing that went wrong with the log, one line."""
-        return None if self._log is None else self._log.failed
+        return self._log.failed
 
     @property
     def keeps_wire(self) -> bool:
         """Whether the log beside it keeps datagrams."""
-        return self._log is not None and self._log.keeps_wire
+        return self._log.keeps_wire
 
     def write(self, topic: str, t_us: int, record: object) -> None:
         """One message of a topic of the table."""
-        if self._log is not None:
-            self._log.write(topic, t_us, record)
+        self._log.write(topic, t_us, record)
         if topic in _SHOWN:
             self._shown.write(topic, t_us, record)
             if topic == "/vehicle/status":
@@ -96,13 +96,11 @@ class LiveRecorder:
 
     def mavlink(self, direction: str, t_us: int, data: bytes) -> None:
         """Not shown."""
-        if self._log is not None:
-            self._log.mavlink(direction, t_us, data)
+        self._log.mavlink(direction, t_us, data)
 
     def tick(self, record: TickRecord, t_us: int | None = None) -> None:
         """One tick of the stack."""
-        if self._log is not None:
-            self._log.tick(record, t_us)
+        self._log.tick(record, t_us)
         at_us = record.t_us if t_us is None else t_us
         if at_us >= self._tick_due_us and (now_s := time.monotonic()) >= self._tick_due_s:
             self._tick_due_us, self._tick_due_s = at_us + round(1e6 * _PERIOD_S), now_s + _PERIOD_S
@@ -111,8 +109,7 @@ class LiveRecorder:
 
     def truth(self, t_us: int, truth: object) -> None:
         """The simulator's truth."""
-        if self._log is not None:
-            self._log.truth(t_us, truth)
+        self._log.truth(t_us, truth)
         if t_us >= self._truth_due_us and (now_s := time.monotonic()) >= self._truth_due_s:
             self._truth_due_us, self._truth_due_s = t_us + round(1e6 * _PERIOD_S), now_s + _PERIOD_S
             self._shown.truth(t_us, truth)
@@ -120,50 +117,42 @@ class LiveRecorder:
 
     def event(self, t_us: int, name: str, text: str, severity: str = "info") -> None:
         """Something that happened."""
-        if self._log is not None:
-            self._log.event(t_us, name, text, severity)
+        self._log.event(t_us, name, text, severity)
         self._shown.event(t_us, name, text, severity)
         self._board.event(t_us, name, text)
 
     def statustext(self, t_us: int, severity: int, text: str) -> None:
         """A line that the vehicle said, with its MAV_SEVERITY."""
-        if self._log is not None:
-            self._log.statustext(t_us, severity, text)
+        self._log.statustext(t_us, severity, text)
         self._shown.statustext(t_us, severity, text)
 
     def location(self, t_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
         """Where the vehicle is on the map."""
-        if self._log is not None:
-            self._log.location(t_us, latitude_deg, longitude_deg, altitude_m)
+        self._log.location(t_us, latitude_deg, longitude_deg, altitude_m)
         self._shown.location(t_us, latitude_deg, longitude_deg, altitude_m)
 
     def scene(self, t_us: int, view: viewer.Shown) -> None:
         """What the 3-D view shows."""
-        if self._log is not None:
-            self._log.scene(t_us, view)
+        self._log.scene(t_us, view)
         self._shown.scene(t_us, view)
         self._board.scene(view)
 
     def certificate(self, t_us: int, certificate: Certificate) -> None:
         """What the filter keeps to from now on."""
-        if self._log is not None:
-            self._log.certificate(t_us, certificate)
+        self._log.certificate(t_us, certificate)
 
     def result(self, attachment: Attachment) -> None:
         """What the flight came to."""
-        if self._log is not None:
-            self._log.result(attachment)
+        self._log.result(attachment)
 
     def meanwhile(self, until_us: int) -> None:
         """The loop sleeps until then, by time.monotonic."""
-        if self._log is not None:
-            self._log.meanwhile(until_us)
+        self._log.meanwhile(until_us)
         self._shown.meanwhile(until_us)
 
     def close(self) -> None:
         """Finish the log; nothing is shown any more."""
-        if self._log is not None:
-            self._log.close()
+        self._log.close()
         self._shown.close(1.0)
         self._page.stop()
         self._server.stop()

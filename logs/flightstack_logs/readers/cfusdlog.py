@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from flightstack.types import InputError
-from flightstack_logs.tables import About, Log, Table
+from flightstack_logs.tables import Log, Table, plain
 
 MAGIC = b"\xbc"
 _TIMES = {1: ("<u4", 1000), 2: ("<u8", 1)}
@@ -56,18 +56,8 @@ def read_cfusdlog(path: Path, data: bytes) -> Log:
     tables = {event.name: _table(event, data, unit_us) for event in events.values() if event.at}
     if not tables:
         raise InputError(f"log {path}: is a Crazyflie log without a single record; nothing was recorded")
-    return Log(
-        path=path,
-        kind="cfusdlog",
-        complete=whole and len(notes) == 0,
-        notes=tuple(notes),
-        tables=tables,
-        messages={},
-        about={name: About("table", "cfusdlog", "", "Crazyflie uSD log", 0.0) for name in tables},
-        metadata={},
-        attachments=(),
-        size_bytes=len(data),
-    )
+    complete = whole and not notes
+    return Log.of_tables(path, "cfusdlog", "Crazyflie uSD log", tables, notes, len(data), complete=complete)
 
 
 def _header(data: bytes) -> tuple[int, dict[int, _Event], int]:
@@ -107,9 +97,5 @@ def _table(event: _Event, data: bytes, unit_us: int) -> Table:
     rows = raw[np.array(event.at)[:, None] + np.arange(size)].copy().view(event.row)[:, 0]
     t_us = np.minimum(rows["_t"].astype(np.float64) * unit_us, float(_LATEST_US)).astype(np.int64)
     order = np.argsort(t_us, kind="stable")
-    columns = {name: _typed(rows[name][order]) for name in event.columns}
+    columns = {name: plain(rows[name][order]) for name in event.columns}
     return Table(event.name, t_us[order], columns, {})
-
-
-def _typed(values: np.ndarray) -> np.ndarray:
-    return values.astype(np.float64 if values.dtype.kind == "f" else bool if values.dtype.kind == "b" else np.int64)

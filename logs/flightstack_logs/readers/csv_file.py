@@ -15,7 +15,7 @@ import numpy as np
 
 from flightstack.types import F64, InputError
 from flightstack_logs.columns import SCHEMA, ColumnMap, apply, parse_columns
-from flightstack_logs.tables import About, Log, Table
+from flightstack_logs.tables import Log, Table
 
 TABLE = "flight"
 HEADER = (
@@ -128,18 +128,7 @@ def read_csv(path: Path, data: bytes, columns: ColumnMap | None) -> Log:
     metadata = {"columns": sources}
     if places:
         metadata["places"] = {name: ", ".join(said) for name, said in places.items()}
-    return Log(
-        path=path,
-        kind="csv",
-        complete=True,
-        notes=tuple(notes + more),
-        tables={TABLE: table},
-        messages={},
-        about={TABLE: About("table", "csv", "", "", 0.0)},
-        metadata=metadata,
-        attachments=(),
-        size_bytes=len(data),
-    )
+    return Log.of_tables(path, "csv", "", {TABLE: table}, notes + more, len(data), metadata=metadata)
 
 
 def _by_our_names(raw: dict[str, F64]) -> tuple[dict[str, F64], list[str]]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from flightstack.types import I64, InputError
 from flightstack_logs import ardupilot
-from flightstack_logs.tables import About, Log, Table
+from flightstack_logs.tables import Log, Table, plain
 
 MAGIC = b"\xa3\x95\x80\x80"
 """A3 95 and the FMT message that describes FMT itself."""
@@ -52,18 +52,7 @@ def read_dataflash(path: Path, data: bytes) -> Log:
     said = ardupilot.parameters(tables)
     if said:
         metadata["parameters"] = {name: repr(value) for name, value in said.items()}
-    return Log(
-        path=path,
-        kind="dataflash",
-        complete=not lost,
-        notes=tuple(notes),
-        tables=tables,
-        messages={},
-        about={name: About("table", "dataflash", "", "ArduPilot", 0.0) for name in tables},
-        metadata=metadata,
-        attachments=(),
-        size_bytes=len(data),
-    )
+    return Log.of_tables(path, "dataflash", "ArduPilot", tables, notes, len(data), complete=not lost, metadata=metadata)
 
 
 def _walk(data: bytes) -> tuple[dict[int, _Kind], int]:
@@ -202,11 +191,9 @@ def _table(name: str, kind: _Kind, rows: np.ndarray, stamps: I64) -> Table:
 
 
 def _typed(values: np.ndarray, scale: float | None) -> np.ndarray:
-    if values.dtype.kind == "S":
-        return np.array([value.decode("utf-8", "replace") for value in values.tolist()], dtype=np.str_)
     if scale is not None:
         return _double(values) * scale
-    return _double(values) if values.dtype.kind == "f" else values.astype(np.int64)
+    return _double(values) if values.dtype.kind == "f" else plain(values)
 
 
 def _double(values: np.ndarray) -> np.ndarray:

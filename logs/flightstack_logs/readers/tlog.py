@@ -19,7 +19,7 @@ import numpy as np
 from fastcrc.crc16 import mcrf4xx
 
 from flightstack.types import InputError
-from flightstack_logs.tables import About, Log, Table
+from flightstack_logs.tables import Log, Table, plain
 
 _STAMP = 8
 _V1, _V2 = 0xFE, 0xFD
@@ -72,21 +72,13 @@ def read_tlog(path: Path, data: bytes) -> Log:
     if foreign:
         notes.append(f"{foreign} messages of a kind that is not known (their checksum can't be told) were left out")
     began = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(zero_us // 1_000_000))
-    return Log(
-        path=path,
-        kind="tlog",
-        complete=not lost,
-        notes=tuple(notes),
-        tables=tables,
-        messages={},
-        about={name: About("table", "mavlink", "", "MAVLink", 0.0) for name in tables},
-        metadata={
-            "clock": {"utc_start": f"{began}Z", "utc": "the recorder's"},
-            "vehicle": {"system": str(vehicle[0]), "component": str(vehicle[1])},
-            **_parameters(tables),
-        },
-        attachments=(),
-        size_bytes=len(data),
+    metadata = {
+        "clock": {"utc_start": f"{began}Z", "utc": "the recorder's"},
+        "vehicle": {"system": str(vehicle[0]), "component": str(vehicle[1])},
+        **_parameters(tables),
+    }
+    return Log.of_tables(
+        path, "tlog", "MAVLink", tables, notes, len(data), complete=not lost, schema="mavlink", metadata=metadata
     )
 
 
@@ -209,14 +201,8 @@ def _table(name: str, number: int, one: _Heard, zero_us: int) -> Table:
     rows = np.frombuffer(block, dtype)
     stamps = np.array(one.stamps_us, np.int64) - zero_us
     order = np.argsort(stamps, kind="stable")
-    columns = {field: _typed(rows[field][order]) for field in dtype.names or ()}
+    columns = {field: plain(rows[field][order]) for field in dtype.names or ()}
     return Table(name, stamps[order], columns, units)
-
-
-def _typed(values: np.ndarray) -> np.ndarray:
-    if values.dtype.kind == "S":
-        return np.array([value.decode("utf-8", "replace") for value in values.tolist()], dtype=np.str_)
-    return values.astype(np.float64 if values.dtype.kind == "f" else np.int64)
 
 
 def _parameters(tables: dict[str, Table]) -> dict[str, dict[str, str]]:

@@ -19,7 +19,7 @@ import numpy as np
 from flightstack.types import InputError
 from flightstack_logs.readers.ulog_clock import Stamped, on_one_clock
 from flightstack_logs.readers.ulog_frames import Frames, mended
-from flightstack_logs.tables import About, Log, Table
+from flightstack_logs.tables import Log, Table, plain
 
 MAGIC = b"ULog\x01\x12\x35"
 SAID = "logged_messages"
@@ -48,21 +48,12 @@ def read_ulog(path: Path, data: bytes) -> Log:
         raise InputError(f"log {path}: is a ULog without data; record a flight with SDLOG_MODE 0 and SDLOG_PROFILE 1")
     tables |= _said(log, span, tables.keys())
     notes = [*frames.damage, *clock_notes, *_notes(log)]
-    return Log(
-        path=path,
-        kind="ulog",
-        complete=not log.file_corruption and not frames.damage,
-        notes=tuple(notes),
-        tables=tables,
-        messages={},
-        about={name: About("table", "ulog", "", "PX4", 0.0) for name in tables},
-        metadata={
-            "parameters": {name: repr(value) for name, value in log.initial_parameters.items()},
-            "info": {name: str(value) for name, value in log.msg_info_dict.items() if isinstance(value, str | int)},
-        },
-        attachments=(),
-        size_bytes=len(data),
-    )
+    complete = not log.file_corruption and not frames.damage
+    metadata = {
+        "parameters": {name: repr(value) for name, value in log.initial_parameters.items()},
+        "info": {name: str(value) for name, value in log.msg_info_dict.items() if isinstance(value, str | int)},
+    }
+    return Log.of_tables(path, "ulog", "PX4", tables, notes, len(data), complete=complete, metadata=metadata)
 
 
 def _line(error: Exception) -> str:
@@ -135,13 +126,5 @@ def _table(name: str, data: dict[str, Any], span: tuple[float, float]) -> Table:
     for column, values in data.items():
         if column != "timestamp":
             grouped.setdefault(column.partition("[")[0] if column.endswith("]") else column, []).append(values[order])
-    columns = {
-        column: _typed(parts[0] if len(parts) == 1 else np.stack(parts, -1)) for column, parts in grouped.items()
-    }
+    columns = {column: plain(parts[0] if len(parts) == 1 else np.stack(parts, -1)) for column, parts in grouped.items()}
     return Table(name, stamps[order].astype(np.int64), columns, {})
-
-
-def _typed(values: np.ndarray) -> np.ndarray:
-    if values.dtype.kind in "bU":
-        return values
-    return values.astype(np.float64 if values.dtype.kind == "f" else np.int64)
