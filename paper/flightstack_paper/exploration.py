@@ -19,7 +19,8 @@ from flightstack.cli.certify import CertifyResult, certify, prepare_certify
 from flightstack.cli.flight import FlyOptions
 from flightstack.explore import ExploreConfig
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
-from flightstack_logs.report.certified import kernel_outline, outline
+from flightstack_logs.report.certified import kernel_outline
+from flightstack_logs.report.phase_plane import boundary
 from flightstack_paper.plan import PUBLISHED
 from flightstack_paper.work import PartContext, PartFailed
 
@@ -93,7 +94,7 @@ def lines(result: CertifyResult) -> dict[str, Any]:
     limit_m = max(abs(bound) for bound in last.barrier.box[:2])
     targets = [row.target for row in result.state.rounds if row.axis == DOWN and row.target is not None]
     return {
-        "regions": [_line(outline(axis.barrier)) for axis in _thinned(axes)],
+        "regions": [_line(boundary(axis.barrier)) for axis in _thinned(axes)],
         "areas_m2ps": [axis.barrier.area_m2ps for axis in axes],
         "path": _line(path[:: max(1, len(path) // _PATH_POINTS)]),
         "targets": [list(target) for target in targets],
@@ -129,7 +130,7 @@ def sampling(axes: list[AxisCertificate], limit_m: float) -> dict[str, Any] | No
     return {
         "published": _samples(known, found),
         "strict": _samples(claim, placed(claim)),
-        "present": _line(outline(on_the_vertical(limit_m, proven_mu(before[-1], limit_m)))) if before else [],
+        "present": _line(boundary(on_the_vertical(limit_m, proven_mu(before[-1], limit_m)))) if before else [],
         "one_modulus": len(adaptive(claim).points),
     }
 
@@ -140,7 +141,7 @@ def _samples(claim: Claim, found: ClaimSamples) -> dict[str, Any]:
         "points": _line(found.points),
         "radius": [round(float(each), 6) for each in found.radius],
         "open": _line(found.open),
-        "outline": _line(outline(claim.barrier)),
+        "outline": _line(boundary(claim.barrier)),
         "density": density(claim, found),
     }
 

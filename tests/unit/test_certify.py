@@ -29,7 +29,8 @@ from flightstack.mission import Mission, plan
 from flightstack.model import Model
 from flightstack.seams import NoCertifier
 from flightstack.types import Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord
-from flightstack_logs.report.certified import ExplorationPage, kernel_outline, outline, render
+from flightstack_logs.report.certified import ExplorationPage, kernel_outline, render
+from flightstack_logs.report.phase_plane import boundary
 from flightstack_logs.report.plot import Plot, ticks
 
 SLOW, FAST = Stopping(-0.4, 0.4, 0.2, 0.8, 2.0), Stopping(-0.5, 0.5, 0.2, 1.2, 3.0)
@@ -254,7 +255,7 @@ def test_a_page_without_rounds_cells_or_path_still_comes_out() -> None:
 
 
 def test_outlines_lie_on_their_boundaries() -> None:
-    for e, v in outline(Quadratic(0.0, -0.1, 3.0, 0.4, 1.2)):
+    for e, v in boundary(Quadratic(0.0, -0.1, 3.0, 0.4, 1.2)):
         assert value(Quadratic(0.0, -0.1, 3.0, 0.4, 1.2), float(e), float(v)) == pytest.approx(0.0, abs=1e-6)
     for e, v in kernel_outline(0.6, -2.0, 8.0)[1:-1:7]:
         assert viability.holds(float(e), float(0.999 * v), -0.6, 0.6, -2.0, 8.0)

@@ -22,7 +22,8 @@ from flightstack_logs.report import barrier
 from flightstack_logs.report.flight import FlightReport, Outcome
 from flightstack_logs.report.log_input import from_log
 from flightstack_logs.report.page import render_report
-from flightstack_logs.report.phase_plane import Outline, Plane, boundary, ellipse, parted, plane_svg, ticks
+from flightstack_logs.report.phase_plane import Outline, Plane, boundary, ellipse, parted, plane_svg
+from flightstack_logs.report.plot import ticks
 from flightstack_logs.report.result import outcome_from_result
 from flightstack_logs.topics import CERTIFICATE, FINAL_CERTIFICATE, TOPICS, Attachment
 from flightstack_logs.writer import FlightLog
@@ -162,7 +163,7 @@ def test_the_section_has_its_charts_planes_ledger_and_histogram(tmp_path: Path) 
         assert f'data-panel="{key}"' in page
     assert page.count('<svg class="plane"') == 3
     for role, count in (("certified", 3), ("before", 3), ("region", 3)):
-        assert page.count(f'<polygon class="{role}"') == count
+        assert page.count(f'<path class="{role}"') == count
     assert "995 ticks" in page
     figures = {figure.label: (figure.value, figure.state) for figure in barrier.figures(flight)}
     assert figures["Least h, truth"] == ("0.610", "good")
@@ -243,12 +244,12 @@ def test_the_plane_shows_the_region_whole_and_the_way_up_from_the_ground_cut_off
     far = np.array([[0.0, 0.0], [-40.0, 9.0]])
     one = plane_svg(Plane("down", nothing, nothing, nothing, (outline,)))
     other = plane_svg(Plane("down", far, nothing, nothing, (outline,)))
-    polygon = re.compile(r'<polygon class="certified" points="([^"]*)"')
+    polygon = re.compile(r'<path class="certified" d="M([^"]*)Z"')
     shown, same = polygon.search(one), polygon.search(other)
     assert shown is not None
     assert same is not None
     assert shown.group(1) == same.group(1)
-    numbers = np.array([pair.split(",") for pair in shown.group(1).split()], dtype=float)
+    numbers = np.array([pair.split() for pair in shown.group(1).split("L")], dtype=float)
     assert numbers.min() > 0.0
     assert numbers[:, 0].max() < 420.0
     assert numbers[:, 1].max() < 320.0

@@ -9,12 +9,12 @@ from importlib import resources
 import numpy as np
 
 from flightstack.barrier.records import AXES, AxisCertificate, Certificate
-from flightstack.barrier.shapes import Barrier, value
+from flightstack.barrier.shapes import Barrier
 from flightstack.explore import Round
 from flightstack.types import F64
+from flightstack_logs.report.phase_plane import boundary
 from flightstack_logs.report.plot import Plot, padded
 
-_RAYS = 240
 _PATH_POINTS = 4000
 _CELLS_SHOWN = 6000
 _ORDER = (2, 0, 1)
@@ -112,21 +112,6 @@ _ROUNDS_HEAD = "".join(
 )
 
 
-def outline(barrier: Barrier) -> F64:
-    """(n, 2) points e, v of the boundary."""
-    e_low, e_high, v_low, v_high = barrier.box
-    e0, v0 = 0.5 * (e_low + e_high), 0.5 * (v_low + v_high)
-    points = []
-    for angle in np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False):
-        de, dv = 0.5 * (e_high - e_low) * float(np.cos(angle)), 0.5 * (v_high - v_low) * float(np.sin(angle))
-        near, far = 0.0, 1.5
-        for _ in range(30):
-            middle = 0.5 * (near + far)
-            near, far = (middle, far) if value(barrier, e0 + middle * de, v0 + middle * dv) >= 0.0 else (near, middle)
-        points.append((e0 + near * de, v0 + near * dv))
-    return np.array(points)
-
-
 def kernel_outline(limit_m: float, u_low_mps2: float, u_high_mps2: float) -> F64:
     """(n, 2) the viability kernel of |e| <= limit: its parabolas."""
     e = np.linspace(-limit_m, limit_m, 121)
@@ -142,7 +127,7 @@ def _axis(certificate: Certificate, number: int) -> AxisCertificate | None:
 def _regions(exploration: ExplorationPage, last: AxisCertificate) -> str:
     number = last.axis
     shapes = [axis.barrier for each in exploration.certificates if (axis := _axis(each, number)) is not None]
-    lines = [outline(shape) for shape in _thinned(shapes)]
+    lines = [boundary(shape) for shape in _thinned(shapes)]
     kernel = None if exploration.kernel is None or number != 2 else kernel_outline(*exploration.kernel)
     path = exploration.path[:: max(1, len(exploration.path) // _PATH_POINTS)][:, [number, 3 + number]]
     every = np.concatenate([*lines, path, *([] if kernel is None else [kernel])])
@@ -177,7 +162,7 @@ def _cover(axis: AxisCertificate) -> str:
     if len(cells) == 0:
         return '<p class="missing">No cells: nothing covers this region.</p>'
     shown = cells[:: max(1, len(cells) // _CELLS_SHOWN)]
-    line = outline(axis.barrier)
+    line = boundary(axis.barrier)
     every = np.concatenate([line, cells[:, [0, 2]], cells[:, [1, 3]]])
     plot = Plot(padded(every[:, 0]), padded(every[:, 1]), ("e (m)", "v (m/s)"), f"Cells of {AXES[axis.axis]}")
     margin = shown[:, -1]

@@ -18,13 +18,19 @@ class Plot:
 
     def __init__(
         self, x: tuple[float, float], y: tuple[float, float], labels: tuple[str, str], title: str, *,
-        width: float = 560.0, height: float = 400.0,
+        width: float = 560.0, height: float = 400.0, role: str = "plot", clip: str = "",
     ) -> None:  # fmt: skip
+        """`clip`: a name of its own on the page, where what reaches beyond the axes is cut off."""
         self._x, self._y, self._width, self._height = x, y, width, height
         self._out = [
-            f'<svg class="plot" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(title)}">'
+            f'<svg class="{role}" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(title)}">'
         ]
         self._axes(labels)
+        self._end = "</g></svg>" if clip else "</svg>"
+        if clip:
+            across, up = inner_size(width, height)
+            frame = f'<rect x="{_LEFT}" y="{_TOP}" width="{across:.0f}" height="{up:.0f}"/>'
+            self._out.append(f'<clipPath id="{clip}">{frame}</clipPath><g clip-path="url(#{clip})">')
 
     def x(self, value: float) -> float:
         """Place of a value along x."""
@@ -65,9 +71,14 @@ class Plot:
             cross = f"M{x - 4:.1f} {y - 4:.1f}l8 8m0 -8l-8 8"
             self._out.append(f'<path class="{role}" d="{cross}">{_title(labels[k] if labels else "")}</path>')
 
+    def dots(self, points: F64, role: str) -> None:
+        """A dot at each of the points (n, 2)."""
+        places = ((self.x(px), self.y(py)) for px, py in points.tolist())
+        self._out += [f'<circle class="{role}" cx="{x:.1f}" cy="{y:.1f}" r="2"/>' for x, y in places]
+
     def svg(self) -> str:
         """The image."""
-        return "".join(self._out) + "</svg>"
+        return "".join(self._out) + self._end
 
     def _axes(self, labels: tuple[str, str]) -> None:
         low_x, high_x, low_y, high_y = *self._x, *self._y
@@ -92,13 +103,18 @@ class Plot:
         )
 
 
+def inner_size(width: float, height: float) -> tuple[float, float]:
+    """Width and height between the axes of an image."""
+    return width - _LEFT - _RIGHT, height - _TOP - _BOTTOM
+
+
 def ticks(low: float, high: float) -> list[float]:
     """Round values in [low, high], about five of them."""
     span = high - low
     step = 10.0 ** math.floor(math.log10(span / 4.0))
     step *= next(factor for factor in (1.0, 2.0, 5.0, 10.0) if span / (factor * step) <= 7.0)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return [k * step for k in range(first, last + 1)]
+    return [round(k * step, 12) for k in range(first, last + 1)]
 
 
 def padded(values: F64, share: float = 0.06) -> tuple[float, float]:

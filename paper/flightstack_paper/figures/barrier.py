@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from flightstack.barrier import viability
 from flightstack.barrier.published import on_the_vertical
-from flightstack_logs.report.certified import outline
+from flightstack_logs.report.phase_plane import boundary
 from flightstack_paper.figures import Source
 from flightstack_paper.figures.style import BLUE, GREEN, GREY, GRID, RED, closed, plane
 from flightstack_paper.plan import MODES, PUBLISHED, SOUND, certify_name
@@ -63,7 +63,7 @@ def regions(source: Source) -> Figure | None:
         closed(axes, part["regions"][0], GREEN, "-", "first region")
         closed(axes, part["regions"][-1], RED, "--", "final region")
         if mode == SOUND:
-            points = [list(point) for point in outline(on_the_vertical(part["limit_m"], _PAPER_MU)).tolist()]
+            points = [list(point) for point in boundary(on_the_vertical(part["limit_m"], _PAPER_MU)).tolist()]
             closed(axes, points, "black", "-.", "the paper's, mu = 0.6", 0.9)
         targets = np.array(part["targets"]).reshape(-1, 2)
         axes.plot(targets[:, 0], targets[:, 1], "*", color=RED, markersize=6, label="flown through")
