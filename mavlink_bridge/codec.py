@@ -18,6 +18,37 @@ from typing import Any
 from mavlink_bridge.layout import MessageLayout, WireField, layout, struct_of
 
 _FLOAT32_MAX = 3.4028234663852886e38
+_UNIT = re.compile("_(m|mps|rad|radps|deg|degc|hpa|v|a|s|ns|hz|norm)$")
+_PER = {"degE7": 1e7, "degE5": 1e5, "mm": 1e3, "mm/s": 1e3, "cm": 1e2, "cm/s": 1e2, "cdeg": 1e2, "cdegC": 1e2}
+_PER |= {
+    "mV": 1e3,
+    "cA": 1e2,
+    "mrad/s": 1e3,
+    "mgauss": 1e3,
+    "mG": 1e3 / 9.80665,
+}  # flightstack.types has the constant, but would import numpy here
+"""How many of MAVLink's units make one of ours."""
+_ON_THE_WIRE = {
+    "t_boot_us": ("time_boot_ms", "event_time_boot_ms"),
+    "t_us": ("time_usec",),
+    "lat_deg": ("lat", "latitude", "lat_int"),
+    "lon_deg": ("lon", "longitude", "lon_int"),
+    "alt_msl_m": ("alt", "altitude"),
+    "pos_ned_m": ("x y z",),
+    "vel_ned_mps": ("vx vy vz",),
+    "acc_ned_mps2": ("afx afy afz",),
+    "q_ned_frd": ("q", "q1 q2 q3 q4", "attitude_quaternion"),
+    "rate_frd_radps": (
+        "rollspeed pitchspeed yawspeed",
+        "body_roll_rate body_pitch_rate body_yaw_rate",
+        "xgyro ygyro zgyro",
+    ),
+    "accel_frd_mps2": ("xacc yacc zacc",),
+    "mag_frd_gauss": ("xmag ymag zmag",),
+    "frame": ("coordinate_frame",),
+    "params": (" ".join(f"param{i}" for i in range(1, 8)), "param1 param2 param3 param4 x y z"),
+}
+"""What MAVLink calls what events call so, in one message or another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +275,8 @@ def row(
     fixed: Mapping[str, int] | None = None,
     **wires: Wire | str,
 ) -> Row:
-    """A row: event fields not named in `wires` come from the wire field of their own name.
+    """A row: event fields not named in `wires` come from the wire field of their own name, or of what MAVLink calls it,
+    converted from MAVLink's unit into the one that ends their name.
 
     rate_hz: PX4's default rate on the onboard link, 0 for what isn't a stream.  nan: event fields (separated by spaces,
     or `*`) that may be NaN.  fixed: what goes out in wire fields that aren't in the event.
@@ -252,15 +284,24 @@ def row(
     name = camel_to_upper(event.__name__)
     shape = layout(name)
     fields: tuple[str, ...] = event._fields
-    sources = {field: _as_wire(wires.pop(field, field)) for field in fields}
+    said = {field: source if isinstance(source, Wire) else wire(source) for field, source in wires.items()}
+    sources = {field: said.pop(field) if field in said else _found(field, shape) for field in fields}
     allowed = frozenset(fields) if nan == "*" else frozenset(nan.split())
-    if wires or not allowed <= set(fields):
-        raise ValueError(f"row {name}: the event has no field {sorted(wires) or sorted(allowed - set(fields))}")
+    if said or not allowed <= set(fields):
+        raise ValueError(f"row {name}: the event has no field {sorted(said) or sorted(allowed - set(fields))}")
     for source in sources.values():
         for field in source.names:
             shape.field(field)
     return Row(event, shape, sources, dict(fixed or {}), allowed, rate_hz)
 
 
-def _as_wire(source: Wire | str) -> Wire:
-    return source if isinstance(source, Wire) else wire(source)
+def _found(name: str, shape: MessageLayout) -> Wire:
+    """Where an event's field that its row does not name comes from."""
+    fields = {field.name: field for field in shape.fields}
+    if name in fields:
+        return Wire((name,))
+    for said in (*_ON_THE_WIRE.get(name, ()), _UNIT.sub("", name)):
+        names = tuple(said.split())
+        if fields.keys() >= set(names):
+            return Wire(names, 1000 if said.endswith("_ms") else 1, _PER.get(fields[names[0]].unit, 0.0))
+    return Wire((name,))  # which `row` refuses

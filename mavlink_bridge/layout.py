@@ -43,6 +43,8 @@ class WireField:
     type: str
     length: int
     """Elements of an array, 0 for a scalar."""
+    unit: str = ""
+    """MAVLink's, empty where it says none."""
 
     @property
     def is_float(self) -> bool:
@@ -190,7 +192,7 @@ def layout(name: str) -> MessageLayout:
         field: bits for field, bits in _AS_BITS.items() if field in message.fieldnames
     }
     fields = tuple(
-        WireField(field, types[field], length)
+        WireField(field, types[field], length, message.fieldunits_by_name.get(field, ""))
         for field, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True)
     )
     fields += tuple(field for field in _parse(EXTENSIONS.get(name, "")) if field.name not in types)
