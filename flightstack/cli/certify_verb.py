@@ -8,23 +8,10 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from flightstack.cli import options as opt
 from flightstack.cli.exits import FAILED, INTERRUPTED, OK
 from flightstack.cli.interrupts import Interrupts
-from flightstack.cli.options import (
-    HomeOption,
-    JsonOption,
-    LiveOption,
-    LogWireOption,
-    OutOption,
-    PlantName,
-    PlantOption,
-    SeedOption,
-    SensorsOption,
-    SiteOption,
-    TruthOption,
-    VehicleOption,
-    asks,
-)
+from flightstack.cli.options import asks
 from flightstack.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,24 +28,24 @@ class _Certify:
     as_published: Annotated[
         bool, typer.Option("--as-published", help="The paper's own barrier, filter and acceptance, for the record.")
     ] = False
-    vehicle: VehicleOption = None
-    plant: PlantOption = PlantName.native
-    truth: TruthOption = None
-    sensors: SensorsOption = None
-    site: SiteOption = None
-    home: HomeOption = None
-    seed: SeedOption = 0
+    vehicle: opt.VehicleOption = None
+    plant: opt.PlantOption = opt.PlantName.native
+    truth: opt.TruthOption = None
+    sensors: opt.SensorsOption = None
+    site: opt.SiteOption = None
+    home: opt.HomeOption = None
+    seed: opt.SeedOption = 0
     duration: Annotated[float | None, typer.Option(min=10.0, help="Explore for so many seconds at most.")] = None
-    out: OutOption = None
-    log_wire: LogWireOption = False
-    live: LiveOption = None
+    out: opt.OutOption = None
+    log_wire: opt.LogWireOption = False
+    live: opt.LiveOption = None
     check: Annotated[
         Path | None, typer.Option("--check", help="Fly nothing: let the independent checker verify this file.")
     ] = None
     log: Annotated[
         Path | None, typer.Option("--log", help="With --check: derive the file anew from this log of its flight.")
     ] = None
-    json: JsonOption = None
+    json: opt.JsonOption = None
 
 
 @asks(_Certify)
@@ -91,10 +78,9 @@ def _check(file: Path, log: Path | None, vehicle: str | None, json: Path | None)
 
     found = check_file(file, log, None if vehicle is None else files.find("vehicles", vehicle).path)
     console.show_checked(str(file), found)
-    if json is not None:
-        level = found.level if found.valid else None
-        said = {"certificate": str(file), "valid": found.valid, "level": level, "lines": found.lines}
-        files.write_json(json, {"schema": "flightstack.check/1", **said})
+    level = found.level if found.valid else None
+    said = {"certificate": str(file), "valid": found.valid, "level": level, "lines": found.lines}
+    files.write_json(json, {"schema": "flightstack.check/1", **said})
     raise typer.Exit(OK if found.valid else FAILED)
 
 
@@ -125,8 +111,7 @@ def _end(result: CertifyResult | SiteCertified, interrupts: Interrupts, json: Pa
     """Write the JSON; end with the right code where it did not pass."""
     from flightstack.cli import console, files
 
-    if json is not None:
-        files.write_json(json, result.as_json())
+    files.write_json(json, result.as_json())
     if interrupts.reason:
         raise typer.Exit(INTERRUPTED)
     if not result.passed:

@@ -89,9 +89,10 @@ def new_run_folder(scenario: str, seed: int | None) -> Path:
     raise InputError(f"runs/{name}: too many runs of this name; choose a place with --out")
 
 
-def write_json(path: Path, data: object) -> None:
-    """Write a JSON result; InputError where that can't be done."""
-    write_text(path, json.dumps(data, indent=1) + "\n")
+def write_json(path: Path | None, data: object) -> None:
+    """Write a JSON result (None: nobody asked for it); InputError where that can't be done."""
+    if path is not None:
+        write_text(path, json.dumps(data, indent=1) + "\n")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -11,40 +11,10 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from flightstack.cli import options as opt
 from flightstack.cli.exits import BAD_INPUT, FAILED, INTERRUPTED
 from flightstack.cli.interrupts import Interrupts
-from flightstack.cli.options import (
-    AsPublishedOption,
-    BelieveFileOption,
-    CertificateOption,
-    ControllerOption,
-    DurationOption,
-    FaultOption,
-    HilPortOption,
-    HomeOption,
-    JsonOption,
-    LearnedOption,
-    LiveOption,
-    LogOption,
-    LogWireOption,
-    NoFilterOption,
-    NoLearningOption,
-    OutOption,
-    PhysicsForPx4Option,
-    PlantName,
-    PlantOption,
-    ScenarioArgument,
-    SeedOption,
-    SensorsOption,
-    SetParamsOption,
-    SigningKeyOption,
-    SiteOption,
-    TruthOption,
-    UnprotectedOption,
-    VehicleOption,
-    WaypointsArgument,
-    asks,
-)
+from flightstack.cli.options import asks
 from flightstack.cli.shipped import CONTROLLER_WORDS, require_names
 from flightstack.errors import InputError
 
@@ -61,21 +31,21 @@ class FlightCommand(TyperCommand):
 class _Flight:
     """The options that every verb that flies has."""
 
-    vehicle: VehicleOption = None
-    duration: DurationOption = None
-    controller: ControllerOption = "flatness"
-    no_learning: NoLearningOption = False
-    learned: LearnedOption = None
-    no_filter: NoFilterOption = False
-    as_published: AsPublishedOption = False
-    certificate: CertificateOption = None
-    site: SiteOption = None
-    unprotected_ok: UnprotectedOption = False
-    log: LogOption = None
-    log_wire: LogWireOption = False
-    live: LiveOption = None
-    out: OutOption = None
-    json: JsonOption = None
+    vehicle: opt.VehicleOption = None
+    duration: opt.DurationOption = None
+    controller: opt.ControllerOption = "flatness"
+    no_learning: opt.NoLearningOption = False
+    learned: opt.LearnedOption = None
+    no_filter: opt.NoFilterOption = False
+    as_published: opt.AsPublishedOption = False
+    certificate: opt.CertificateOption = None
+    site: opt.SiteOption = None
+    unprotected_ok: opt.UnprotectedOption = False
+    log: opt.LogOption = None
+    log_wire: opt.LogWireOption = False
+    live: opt.LiveOption = None
+    out: opt.OutOption = None
+    json: opt.JsonOption = None
 
 
 def _asked(given: SimpleNamespace) -> dict[str, Any]:
@@ -102,8 +72,7 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
     with terminal.progress(f"flying {options.scenario}") as show:
         result = fly(options, stop_requested=interrupts.requested, on_progress=show, report_wanted=kept)
     console.show_result(result)
-    if json_file is not None:
-        files.write_json(json_file, result.as_json())
+    files.write_json(json_file, result.as_json())
     if interrupts.reason:
         raise typer.Exit(INTERRUPTED)
     if result.contradictions:
@@ -116,20 +85,20 @@ def _finish_flight(fly: Callable[..., Any], options: Any, json_file: Path | None
 
 
 class _Fly:
-    scenario: ScenarioArgument = "paper-tracking"
-    waypoints: WaypointsArgument = None
+    scenario: opt.ScenarioArgument = "paper-tracking"
+    waypoints: opt.WaypointsArgument = None
     named: Annotated[str | None, typer.Option("--scenario", help="The same as SCENARIO, as other verbs have it.")] = (
         None
     )
     realtime: Annotated[bool, typer.Option("--realtime", help="Fly at 250 Hz of real time, not in lockstep.")] = False
-    plant: PlantOption = PlantName.native
-    sensors: SensorsOption = None
-    truth: TruthOption = None
-    seed: SeedOption = 0
-    fault: FaultOption = None
-    home: HomeOption = None
-    px4_hil: PhysicsForPx4Option = False
-    hil_port: HilPortOption = 4_560
+    plant: opt.PlantOption = opt.PlantName.native
+    sensors: opt.SensorsOption = None
+    truth: opt.TruthOption = None
+    seed: opt.SeedOption = 0
+    fault: opt.FaultOption = None
+    home: opt.HomeOption = None
+    px4_hil: opt.PhysicsForPx4Option = False
+    hil_port: opt.HilPortOption = 4_560
 
 
 @asks(_Fly, _Flight)
@@ -154,11 +123,11 @@ class _Offboard:
     waypoints: Annotated[str | None, typer.Option(help="The file of `--scenario waypoints`.")] = None
     arm: Annotated[bool, typer.Option("--arm", help="Select OFFBOARD and arm; else the pilot does both.")] = False
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Connect and check; send no setpoint.")] = False
-    believe_file: BelieveFileOption = False
-    set_params: SetParamsOption = None
-    sensors: SensorsOption = None
+    believe_file: opt.BelieveFileOption = False
+    set_params: opt.SetParamsOption = None
+    sensors: opt.SensorsOption = None
     timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the first heartbeat.")] = 10.0
-    signing_key: SigningKeyOption = None
+    signing_key: opt.SigningKeyOption = None
     no_dead_man: Annotated[
         bool, typer.Option("--no-dead-man", help="Nobody answers the companion's silence: COM_OF_LOSS_T <= 0.5 s.")
     ] = False

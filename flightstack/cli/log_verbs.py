@@ -54,8 +54,7 @@ def info(log: LogArgument, columns: ColumnsOption = None, json: JsonOption = Non
 
     summary = sum_up(_read(log, columns))
     terminal.show(render(summary))
-    if json is not None:
-        files.write_json(json, summary.as_json())
+    files.write_json(json, summary.as_json())
 
 
 @log_app.command("report")
@@ -79,8 +78,7 @@ def report(
     for note in flown.notes:
         terminal.say(f"{log}: {note}")
     terminal.say(str(path))
-    if json is not None:
-        files.write_json(json, {"schema": "flightstack.logreport/1", "log": str(log), "report": str(path)})
+    files.write_json(json, {"schema": "flightstack.logreport/1", "log": str(log), "report": str(path)})
 
 
 @log_app.command("convert")
@@ -94,9 +92,8 @@ def convert(log: LogArgument, out: NewMcapOption, columns: ColumnsOption = None,
     for note in source.notes:
         terminal.say(f"{log}: {note}")
     terminal.say(f"{made.messages} messages of {made.topics} topics: {out}")
-    if json is not None:
-        said = {"log": str(log), "converted": str(out), "messages": made.messages, "topics": made.topics}
-        files.write_json(json, {"schema": "flightstack.logconvert/1", **said, "notes": list(source.notes)})
+    said = {"log": str(log), "converted": str(out), "messages": made.messages, "topics": made.topics}
+    files.write_json(json, {"schema": "flightstack.logconvert/1", **said, "notes": list(source.notes)})
 
 
 @log_app.command("export")
@@ -122,8 +119,7 @@ def export(
     for note in source.notes:
         terminal.say(f"{log}: {note}")
     terminal.say(f"{len(made)} files: {out}")
-    if json is not None:
-        files.write_json(json, {"schema": "flightstack.logexport/1", "files": [str(path) for path in made]})
+    files.write_json(json, {"schema": "flightstack.logexport/1", "files": [str(path) for path in made]})
 
 
 @log_app.command("replay")
@@ -142,8 +138,7 @@ def replay(
         result = run(log, tolerance=tolerance, on_progress=show)
     for line in result.lines:
         terminal.say(line)
-    if json is not None:
-        files.write_json(json, result.as_json())
+    files.write_json(json, result.as_json())
     if not result.same:
         raise typer.Exit(1)
 
@@ -162,6 +157,5 @@ def recover(
     for line in saved.lost or ("nothing was lost: the file was whole",):
         terminal.say(line)
     terminal.say(f"{saved.messages} messages of {saved.topics} topics saved: {out}")
-    if json is not None:
-        said = {"log": str(log), "recovered": str(out), "messages": saved.messages, "topics": saved.topics}
-        files.write_json(json, {"schema": "flightstack.logrecover/1", **said, "lost": list(saved.lost)})
+    said = {"log": str(log), "recovered": str(out), "messages": saved.messages, "topics": saved.topics}
+    files.write_json(json, {"schema": "flightstack.logrecover/1", **said, "lost": list(saved.lost)})

@@ -75,10 +75,9 @@ def scenarios(json: JsonOption = None) -> None:
         rows.append((name, f"{scenario.duration_s:.3g} s", scenario.sensors, scenario.description))
     rows.append(("waypoints FILE", "", "mocap", "minimum-snap flight through the waypoints of a file"))
     console.show_table("scenarios", ("name", "track", "sensors", "what it is"), rows)
-    if json is not None:
-        keys = ("name", "duration", "sensors", "description")
-        listed = [dict(zip(keys, row, strict=True)) for row in rows]
-        files.write_json(json, {"schema": "flightstack.scenarios/1", "scenarios": listed})
+    keys = ("name", "duration", "sensors", "description")
+    listed = [dict(zip(keys, row, strict=True)) for row in rows]
+    files.write_json(json, {"schema": "flightstack.scenarios/1", "scenarios": listed})
 
 
 @app.command()
@@ -94,10 +93,9 @@ def learn(
 
     stored = run(logs, vehicle, out)
     terminal.output.print(f"fitted to {stored.windows} points of vehicle {stored.vehicle}: {out}", soft_wrap=True)
-    if json is not None:
-        hashes = {"vehicle_hash": stored.vehicle_hash, "data_hash": stored.data_hash}
-        result = {"schema": "flightstack.learn/1", "learned": str(out), "vehicle": stored.vehicle}
-        files.write_json(json, result | hashes | {"windows": stored.windows})
+    hashes = {"vehicle_hash": stored.vehicle_hash, "data_hash": stored.data_hash}
+    result = {"schema": "flightstack.learn/1", "learned": str(out), "vehicle": stored.vehicle}
+    files.write_json(json, result | hashes | {"windows": stored.windows})
 
 
 @app.command()
@@ -134,8 +132,7 @@ def gap(
     with terminal.progress("gap") as show:
         result = find_gap(options, on_progress=show)
     show_gap(result, out)
-    if json is not None:
-        files.write_json(json, as_json(result))
+    files.write_json(json, as_json(result))
 
 
 app.command()(campaign)

@@ -54,8 +54,7 @@ def shield(
         f"{result['setpoints']} setpoints taken, {result['ticks']} ticks flown, "
         f"{100.0 * result['changed_share']:.1f} % changed by the site filter"
     )
-    if json is not None:
-        files.write_json(json, result)
+    files.write_json(json, result)
     if not result["vehicle_heard"]:
         console.say_error(f"no PX4 was heard at {connect}")
         raise typer.Exit(FAILED)

@@ -12,22 +12,10 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from flightstack.cli import options as opt
 from flightstack.cli.exits import INTERRUPTED
 from flightstack.cli.interrupts import Interrupts
-from flightstack.cli.options import (
-    FaultOption,
-    HilPortOption,
-    HomeOption,
-    JsonOption,
-    LiveOption,
-    LogWireOption,
-    PhysicsForPx4Option,
-    PlantName,
-    PlantOption,
-    SeedOption,
-    SensorGrade,
-    asks,
-)
+from flightstack.cli.options import asks
 
 if TYPE_CHECKING:
     from flightstack.cli.simulate import SimOptions
@@ -43,11 +31,11 @@ class _Sim:
     vehicle: Annotated[str | None, typer.Option(help="Vehicle that flies, effects included: name or .toml file.")] = (
         None
     )
-    plant: PlantOption = PlantName.native
+    plant: opt.PlantOption = opt.PlantName.native
     sensors: Annotated[
-        SensorGrade | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
+        opt.SensorGrade | None, typer.Option(help="Grade of sensors and estimate (default: mocap; gps with --px4-hil).")
     ] = None
-    seed: SeedOption = 0
+    seed: opt.SeedOption = 0
     port: Annotated[int, typer.Option(min=1, max=65_495, help="Where the offboard link sends; binds 40 above.")] = (
         14_540
     )
@@ -55,23 +43,23 @@ class _Sim:
     bind: Annotated[
         str, typer.Option(help="Address of this machine that the links are bound to; 0.0.0.0: all.", metavar="ADDR")
     ] = "127.0.0.1"
-    home: HomeOption = None
+    home: opt.HomeOption = None
     instances: Annotated[
         int, typer.Option(min=1, max=100, help="So many vehicles, with PX4's ports and system ids.")
     ] = 1
     sysid: Annotated[int, typer.Option(min=1, max=255, help="MAVLink system id of the (first) vehicle.")] = 1
     speed: Annotated[float, typer.Option(min=0.05, max=50.0, help="Times real time.")] = 1.0
     duration: Annotated[float | None, typer.Option(min=0.1, help="End after so many simulated seconds.")] = None
-    fault: FaultOption = None
-    px4_hil: PhysicsForPx4Option = False
-    hil_port: HilPortOption = 4_560
+    fault: opt.FaultOption = None
+    px4_hil: opt.PhysicsForPx4Option = False
+    hil_port: opt.HilPortOption = 4_560
     log: Annotated[
         Path | None,
         typer.Option("--log", help="Record the truth in this log (.mcap); several vehicles: NAME-1.mcap, ..."),
     ] = None
-    log_wire: LogWireOption = False
-    live: LiveOption = None
-    json: JsonOption = None
+    log_wire: opt.LogWireOption = False
+    live: opt.LiveOption = None
+    json: opt.JsonOption = None
 
 
 @asks(_Sim)
@@ -109,8 +97,7 @@ def _run(options: SimOptions, interrupts: Interrupts, px4_hil: bool, json: Path 
     except KeyboardInterrupt:
         _end_at_once()
     terminal.output.print(f"simulated {result['simulated_s']:.1f} s; {result['missed']} deadlines missed")
-    if json is not None:
-        files.write_json(json, result)
+    files.write_json(json, result)
     if interrupts.reason:
         raise typer.Exit(INTERRUPTED)
 
@@ -122,7 +109,7 @@ def warmup(
             help="What to compile: simulator, jsbsim, flight, site, certify, gap (default: all).", metavar="PART"
         ),
     ] = None,
-    json: JsonOption = None,
+    json: opt.JsonOption = None,
 ) -> None:
     """Compile everything ahead, so that nothing has to be compiled when it is first used."""
     interrupts = Interrupts(always=(signal.SIGINT,))
@@ -146,6 +133,5 @@ def warmup(
             raise typer.Exit(1)
         print(f"{part}: {'was compiled before' if there else 'compiled'}", flush=True)
         done.append({"part": part, "was_there": there})
-    if json is not None:
-        wall_s = time.monotonic() - began_s
-        files.write_json(json, {"schema": "flightstack.warmup/1", "parts": done, "wall_time_s": wall_s})
+    wall_s = time.monotonic() - began_s
+    files.write_json(json, {"schema": "flightstack.warmup/1", "parts": done, "wall_time_s": wall_s})

@@ -68,9 +68,8 @@ def check(
         notes = [note for note in (unsettled_hover(values, hover),) if note]
     for line in (*lines, *notes):
         terminal.output.print(line, soft_wrap=True, markup=False)
-    if json is not None:
-        result = {"schema": SCHEMA, "vehicle": vehicle.name, "contradictions": lines, "warnings": notes}
-        files.write_json(json, result)
+    result = {"schema": SCHEMA, "vehicle": vehicle.name, "contradictions": lines, "warnings": notes}
+    files.write_json(json, result)
     if lines:
         raise typer.Exit(FAILED)
     terminal.output.print(f"{file}: nothing speaks against it" + (f" by {against}" if against else ""), soft_wrap=True)
@@ -94,8 +93,7 @@ def fit(
     for line in lines(done):
         terminal.output.print(line, soft_wrap=True, markup=False, highlight=False)
     terminal.output.print(f"wrote {out}", soft_wrap=True, markup=False)
-    if json is not None:
-        files.write_json(json, as_json(done, [str(path) for path in logs], vehicle))
+    files.write_json(json, as_json(done, [str(path) for path in logs], vehicle))
 
 
 def parameters(source: str) -> dict[str, float]:

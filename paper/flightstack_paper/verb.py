@@ -39,8 +39,7 @@ def reproduce(
         console.say_error(f"{result.stopped}: the same command goes on from here")
         raise typer.Exit(INTERRUPTED)
     show_reproduced(result, out)
-    if json is not None:
-        files.write_json(json, result.as_json())
+    files.write_json(json, result.as_json())
     if result.failed:
         console.say_error("; ".join(f"{name}: {why}" for name, why in sorted(result.failed.items())))
         raise typer.Exit(FAILED)

@@ -57,8 +57,7 @@ def campaign(
         options = CampaignOptions(file, out, resume, workers, scheduler, tuple(changes or ()))
         result = run(options, stop_requested=stop, on_progress=told)
     show_campaign(result, out)
-    if json is not None:
-        files.write_json(json, result.as_json())
+    files.write_json(json, result.as_json())
     if result.stopped:
         say_error(f"{result.stopped}: the same command with --resume goes on from here")
     if interrupts.requested():
