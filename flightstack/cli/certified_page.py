@@ -11,6 +11,7 @@ from flightstack.explore import width_mps2
 from flightstack.types import F64
 from flightstack_logs.reader import read
 from flightstack_logs.report.certified import ExplorationPage, render
+from flightstack_logs.report.words import KeyFigure, count
 
 if TYPE_CHECKING:
     from flightstack.cli.certify import CertifyResult
@@ -47,8 +48,8 @@ def settled_of(result: CertifyResult) -> tuple[float, float] | None:
     return (area_m2ps, width_mps2(axis)) if result.adopted[-1].version > rounds[-1].version else None
 
 
-def figures(result: CertifyResult) -> tuple[tuple[str, str, str], ...]:
-    """Label, value and note of each key figure; for the page and the terminal."""
+def figures(result: CertifyResult) -> tuple[KeyFigure, ...]:
+    """The key figures, for the page and the terminal."""
     found, flight = result.figures, result.flight
     if found is None:
         return ()
@@ -60,25 +61,25 @@ def figures(result: CertifyResult) -> tuple[tuple[str, str, str], ...]:
     rounds = 0 if result.state is None else len(result.state.rounds)
     exits = flight.barrier["violations"]
     return (
-        ("Certified area", _shown(found.area_m2ps, 3, "m²/s"), share),
-        (
+        KeyFigure("Certified area", _shown(found.area_m2ps, 3, "m²/s"), share),
+        KeyFigure(
             "On the worst slice",
             _shown(found.area_worst_m2ps, 3, "m²/s"),
             f"at first {_shown(found.area_initial_m2ps, 2)}",
         ),
-        ("mu", _shown(found.mu_final, 3), f"from {_shown(found.mu_initial, 2)}; physics {_shown(found.mu_physics, 4)}"),
-        ("Rounds", str(rounds), f"{flight.flight_time_s:.0f} s of flight"),
-        ("Exits", "–" if exits is None else str(exits), f"infeasible steps: {flight.qp['infeasible']}"),
-        ("Samples", _whole(found.samples), f"uniform grid: {_whole(found.samples_uniform)}"),
+        KeyFigure(
+            "mu",
+            _shown(found.mu_final, 3),
+            f"from {_shown(found.mu_initial, 2)}; physics {_shown(found.mu_physics, 4)}",
+        ),
+        KeyFigure("Rounds", str(rounds), f"{flight.flight_time_s:.0f} s of flight"),
+        KeyFigure("Exits", count(exits), f"infeasible steps: {flight.qp['infeasible']}"),
+        KeyFigure("Samples", count(found.samples), f"uniform grid: {count(found.samples_uniform)}"),
     )
 
 
 def _shown(value: float | None, digits: int, unit: str = "") -> str:
     return "–" if value is None else f"{value:.{digits}f} {unit}".strip()
-
-
-def _whole(value: int | None) -> str:
-    return "–" if value is None else str(value)
 
 
 def path_of(result: CertifyResult) -> F64:

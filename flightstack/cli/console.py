@@ -91,8 +91,8 @@ def show_certified(result: CertifyResult) -> None:
     table.add_column(style="dim")
     table.add_column()
     table.add_row("how it ended", escape(result.words))
-    for label, value, note in figures(result):
-        table.add_row(label.lower(), escape(f"{value} ({note})" if note else value))
+    for each in figures(result):
+        table.add_row(each.label.lower(), escape(f"{each.value} ({each.note})" if each.note else each.value))
     show(table)
     for line in result.verdict:
         output.print(f" checker {line}", soft_wrap=True, markup=False)

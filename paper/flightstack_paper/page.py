@@ -5,35 +5,14 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from flightstack_logs.report.still import still_page
 from flightstack_paper.figures import Figure
 from flightstack_paper.rows import ResultLine
 
 PAPER = "L. Wang, E. A. Theodorou, M. Egerstedt: Safe Learning of Quadrotor Dynamics Using Barrier Certificates, 2018"
-_STYLE = """
-.paper { font-size: 13px; } .paper td, .paper th { padding: 6px 10px 6px 0; border-top: 1px solid var(--line); }
-.paper thead th { white-space: nowrap; border-top: 0; color: var(--muted); font-weight: 400; }
-.paper .value { text-align: right; white-space: nowrap; } .paper .note { font-size: 12px; }
-.paper code { font-size: 12px; color: var(--muted); overflow-wrap: anywhere; }
-.paper .yes { color: var(--good); font-weight: 650; white-space: nowrap; }
-.paper .no { color: var(--bad); font-weight: 650; white-space: nowrap; }
-.pictures { display: grid; gap: 12px; grid-template-columns: repeat(2, minmax(0, 1fr)); margin-top: 12px; }
-.pictures figure { margin: 0; } .pictures img { width: 100%; height: auto; background: #fff; border-radius: 4px; }
-.pictures figcaption { color: var(--muted); font-size: 12px; }
-@media (max-width: 900px) { .pictures { grid-template-columns: 1fr; } }
-@media (max-width: 640px) {
-  .paper thead { display: none; } .paper tr { display: grid; grid-template-columns: repeat(3, minmax(0, 1fr)); }
-  .paper td { border: 0; padding: 2px 8px 2px 0; } .paper tr { border-top: 1px solid var(--line); padding: 6px 0; }
-  .paper td:first-child, .paper .note { grid-column: 1 / -1; } .paper .value { text-align: left; white-space: normal; }
-  .paper td[data-name]::before {
-    content: attr(data-name); display: block; font-size: 11px; color: var(--muted); font-weight: 400;
-  }
-}
-"""
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
 def page(
@@ -44,25 +23,23 @@ def page(
     folder: Path,
 ) -> str:
     """The page; figures are read from `folder`."""
-    style = resources.files("flightstack_logs.report").joinpath("page.css").read_text(encoding="utf-8")
     hold = sum(row.holds for row in rows)
     failed = [row.id for row in rows if row.ours is None]
     good = "bad" if failed else "good" if hold == len(rows) else "partly"
     words = f"{hold} of {len(rows)} claims hold as worded" if not failed else f"not measured: {', '.join(failed)}"
     pictures = "".join(_picture(figure, folder) for figure in figures)
-    return "".join([
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        '<meta name="color-scheme" content="light dark">',
-        f"<title>The paper, side by side</title><style>{style}{_STYLE}</style></head><body>",
-        f'<header class="{good}"><span class="verdict">{escape(words)}</span><h1>The paper, side by side</h1>',
-        f'<p class="subtitle">{escape(PAPER)}</p><p class="subtitle">{escape(_made(head))}</p></header><main>',
-        '<section class="panel"><h2>Claims and measurements</h2>', _table(rows), "</section>",
-        f'<div class="pictures">{pictures}</div>', _files(results, folder), "</main>",
-        "<footer>Every number was computed by this run. e: distance from the region's centre, v: its rate; ",
-        "north-east-down, so down is positive.</footer></body></html>\n",
-    ])  # fmt: skip
+    table = f'<section class="panel"><h2>Claims and measurements</h2>{_table(rows)}</section>'
+    return still_page(
+        "The paper, side by side",
+        [PAPER, _made(head)],
+        f'<main>{table}<div class="pictures">{pictures}</div>{_files(results, folder)}</main>',
+        state=good,
+        verdict=words,
+        footer="Every number was computed by this run. e: distance from the region's centre, v: its rate; "
+        "north-east-down, so down is positive.",
+        css=("flightstack_paper", "page.css"),
+        policy="; img-src data:",
+    )
 
 
 def markdown(rows: Sequence[ResultLine], head: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ from test_report_browser import CHROMIUM, opened
 
 from flightstack.explore import Round
 from flightstack_logs.report.certified import ExplorationPage, render
+from flightstack_logs.report.words import KeyFigure
 from flightstack_paper.page import page
 from flightstack_paper.rows import ResultLine
 
@@ -56,7 +57,9 @@ def on_a_phone(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]
 
 def certified_page() -> str:
     """Of certify, with as many rounds and words as it may have."""
-    figures = tuple((name, "3.007 m²/s", "58 % of the kernel of the vehicle's own limits, 5.23") for name in "abcdef")
+    figures = tuple(
+        KeyFigure(name, "3.007 m²/s", "58 % of the kernel of the vehicle's own limits, 5.23") for name in "abcdef"
+    )
     rounds = tuple(Round(2, 5.0 * k, 1, 1.6, 0.4, (0.1, 0.3), (0.2, 0.5)) for k in range(1, 25))
     vertical = certificate()
     vertical = replace(vertical, axes=vertical.axes[2:])

@@ -32,6 +32,7 @@ from flightstack.types import Command, Filtered, FlatOutput, Learned, Measuremen
 from flightstack_logs.report.certified import ExplorationPage, kernel_outline, render
 from flightstack_logs.report.phase_plane import boundary
 from flightstack_logs.report.plot import Plot, ticks
+from flightstack_logs.report.words import KeyFigure
 
 SLOW, FAST = Stopping(-0.4, 0.4, 0.2, 0.8, 2.0), Stopping(-0.5, 0.5, 0.2, 1.2, 3.0)
 
@@ -202,7 +203,7 @@ def _exploration(**changes: object) -> ExplorationPage:
     certificates: tuple[Certificate, ...] = (certificate_of(axis_of(SLOW)), certificate_of(axis_of(FAST), version=2))
     rounds = (Round(2, 5.0, 1, 1.0, 0.4, (0.1, 0.3), (0.2, 0.5)), Round(2, 9.0, 2, 1.5, 0.3, None, None))
     made = ExplorationPage(
-        "a <b> flight", True, "it & ended", (("Area", "1.5", "of <2>"),), certificates, rounds, path,
+        "a <b> flight", True, "it & ended", (KeyFigure("Area", "1.5", "of <2>"),), certificates, rounds, path,
         (0.6, -2.0, 8.0), ("seal: fits",),
     )  # fmt: skip
     return replace(made, **changes)  # type: ignore[arg-type]

@@ -12,8 +12,10 @@ from flightstack.cli.campaign.grouped import shown
 from flightstack.cli.campaign.result import CampaignResult, replay_name
 from flightstack.cli.campaign.statistics import Influence, metric
 from flightstack.types import F64
-from flightstack_logs.report.page import asset
+from flightstack_logs.report.page import figures_html
 from flightstack_logs.report.plot import Plot, padded
+from flightstack_logs.report.still import still_page
+from flightstack_logs.report.words import KeyFigure
 
 _SHOWN = (
     ("tracking.rmse_m", "distance from the reference, rms, m"),
@@ -26,21 +28,10 @@ _SHOWN = (
 _BARS = 30
 _FAILURES = 200
 _CHARTS = 6
-_STYLE = """
-.rows td, .rows th { border-bottom: 1px solid var(--line); } .rows thead th { color: var(--muted); font-weight: 400; }
-.wide-table { overflow-x: auto; } .wide-table table { min-width: 520px; } .rows td { overflow-wrap: normal; }
-.rows .number { text-align: right; white-space: nowrap; } .rows a { color: var(--truth); }
-.plot { width: 100%; height: auto; font-size: 11px; } .plot text { fill: var(--muted); }
-.plot .grid { stroke: var(--grid); display: initial; fill: none; }
-.plot .bar { fill: var(--truth); } .plot .failed { fill: var(--bad); } .plot .ci { stroke: var(--ink); fill: none; }
-pre { margin: 0; font-size: 12px; overflow-x: auto; }
-main { gap: 12px; } .note { color: var(--muted); margin: 4px 0 0; font-size: 12px; }
-"""
 
 
 def render(result: CampaignResult) -> str:
     """The whole page; no network, no script."""
-    title = f"Campaign {result.spec.path.name}"
     good = sum(count for name, count in result.outcomes.items() if name != "completed") == 0
     verdict = "stopped" if result.stopped else "all completed" if good else "failures"
     parts = [
@@ -53,20 +44,16 @@ def render(result: CampaignResult) -> str:
         _panel("Failures", _failures(result), wide=True),
         _panel("The campaign's file", f"<pre>{escape(result.spec.text)}</pre>", wide=True),
     ]
-    return "".join([
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">",
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        '<meta name="color-scheme" content="light dark">',
-        f"<title>{escape(title)}</title><style>{asset('page.css')}{_STYLE}</style></head><body>",
-        f'<header class="{"good" if good and not result.stopped else "bad"}"><span class="verdict">{verdict}</span>',
-        f'<h1>{escape(title)}</h1><p class="subtitle">{escape(_subtitle(result))}</p></header>',
+    return still_page(
+        f"Campaign {result.spec.path.name}",
+        [_subtitle(result)],
         f'<dl class="figures">{_figures(result)}</dl><main><div class="grid">{"".join(parts)}</div></main>',
-        "<footer>Intervals: Clopper-Pearson, 95 %. Influence: Mann-Whitney or chi-squared, corrected after Holm for ",
-        f"the number of factors. <code>flightstack {result.spec.verb} FILE</code> flies a file of this folder again.",
-        "</footer>",
-        "</body></html>\n",
-    ])  # fmt: skip
+        state="good" if good and not result.stopped else "bad",
+        verdict=verdict,
+        footer="Intervals: Clopper-Pearson, 95 %. Influence: Mann-Whitney or chi-squared, corrected after Holm for the "
+        f"number of factors. <code>flightstack {result.spec.verb} FILE</code> flies a file of this folder again.",
+        css=("flightstack.cli.campaign", "page.css"),
+    )
 
 
 def _panel(title: str, body: str, *, wide: bool = False) -> str:
@@ -86,18 +73,16 @@ def _figures(result: CampaignResult) -> str:
     for row in result.rates:
         if not row["count"] and row["of"] not in ("completed", "failed"):
             continue
-        state = "good" if row["of"] == "completed" and row["count"] == row["flights"] else ""
+        state = "good" if row["of"] == "completed" and row["count"] == row["flights"] else "plain"
         state = "bad" if row["of"] != "completed" and row["count"] else state
         low, high = row["ci95"]
-        shown.append((state, row["of"], _percent(row["rate"]), f"{row['count']} of {row['flights']}; "
-                      f"{_percent(low)} to {_percent(high)}"))  # fmt: skip
+        note = f"{row['count']} of {row['flights']}; {_percent(low)} to {_percent(high)}"
+        shown.append(KeyFigure(row["of"], _percent(row["rate"]), note, state))
     walls = [entry["timing"]["wall_s"] for entry in result.entries]
     if walls:
-        shown.append(("", "a flight took", f"{np.median(walls):.1f} s", f"median; {sum(walls) / 3600.0:.2f} h in all"))
-    return "".join(
-        f'<div class="figure {state}"><dt>{escape(label)}</dt><dd>{escape(value)}</dd><p>{escape(note)}</p></div>'
-        for state, label, value, note in shown
-    )
+        note = f"median; {sum(walls) / 3600.0:.2f} h in all"
+        shown.append(KeyFigure("a flight took", f"{np.median(walls):.1f} s", note))
+    return figures_html(shown)
 
 
 def _percent(share: float | None) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
-from importlib import resources
 
 import numpy as np
 
@@ -12,8 +11,11 @@ from flightstack.barrier.records import AXES, AxisCertificate, Certificate
 from flightstack.barrier.shapes import Barrier
 from flightstack.explore import Round
 from flightstack.types import F64
+from flightstack_logs.report.page import figures_html
 from flightstack_logs.report.phase_plane import boundary
 from flightstack_logs.report.plot import Plot, padded
+from flightstack_logs.report.still import still_page
+from flightstack_logs.report.words import KeyFigure
 
 _PATH_POINTS = 4000
 _CELLS_SHOWN = 6000
@@ -28,7 +30,7 @@ class ExplorationPage:
     good: bool
     words: str
     """How it ended, one line."""
-    figures: tuple[tuple[str, str, str], ...]
+    figures: tuple[KeyFigure, ...]
     """Label, value, note."""
     certificates: tuple[Certificate, ...]
     """In their order, the last one in force."""
@@ -45,7 +47,6 @@ class ExplorationPage:
 
 def render(exploration: ExplorationPage) -> str:
     """One self-contained HTML page."""
-    style = resources.files("flightstack_logs.report").joinpath("page.css").read_text(encoding="utf-8")
     last = exploration.certificates[-1]
     axes = sorted(last.axes, key=lambda axis: _ORDER.index(axis.axis))
     parts = [
@@ -63,50 +64,22 @@ def render(exploration: ExplorationPage) -> str:
     checker = "".join(f"<li>{escape(line)}</li>" for line in exploration.checker)
     rounds = "".join(_round(k, row) for k, row in enumerate(exploration.rounds, 1))
     state, verdict = ("good", "certified") if exploration.good else ("bad", "not certified")
-    figures = "".join(
-        f'<div class="figure"><dt>{escape(label)}</dt><dd>{escape(shown)}</dd><p>{escape(note)}</p></div>'
-        for label, shown, note in exploration.figures
-    )
-    return "".join(
-        [
-            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
-            "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">",
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            '<meta name="color-scheme" content="light dark">',
-            f"<title>{escape(exploration.title)}</title><style>{style}{_STYLE}</style></head><body>",
-            f'<header class="{state}"><span class="verdict">{verdict}</span>',
-            f'<h1>{escape(exploration.title)}</h1><p class="subtitle">{escape(exploration.words)}</p></header>',
-            f'<dl class="figures">{figures}</dl><main><div class="grid">{"".join(parts)}</div><div class="tables">',
-            f'<section class="panel wide"><h2>Margins <span class="unit">m/s²</span></h2>{ledgers}</section>',
-            '<section class="panel wide"><details><summary>Each round</summary>',
-            f'<table class="rounds">{_ROUNDS_HEAD}{rounds}</table></details>',
-            f"<h2>The independent checker</h2><ul>{checker}</ul></section></div></main>",
-            "<footer>e: distance from the region's centre, v: its rate; north-east-down, so down is positive.</footer>",
-            "</body></html>\n",
-        ]
+    return still_page(
+        exploration.title,
+        [exploration.words],
+        f'<dl class="figures">{figures_html(exploration.figures)}</dl><main>'
+        f'<div class="grid">{"".join(parts)}</div><div class="tables">'
+        f'<section class="panel wide"><h2>Margins <span class="unit">m/s²</span></h2>{ledgers}</section>'
+        '<section class="panel wide"><details><summary>Each round</summary>'
+        f'<table class="rounds">{_ROUNDS_HEAD}{rounds}</table></details>'
+        f"<h2>The independent checker</h2><ul>{checker}</ul></section></div></main>",
+        state=state,
+        verdict=verdict,
+        footer="e: distance from the region's centre, v: its rate; north-east-down, so down is positive.",
+        css=("flightstack_logs.report", "certified.css"),
     )
 
 
-_STYLE = """
-.tables > .wide { grid-column: span 6; } .facts td:nth-child(2) { white-space: nowrap; text-align: right; }
-.facts th { width: auto; white-space: nowrap; } .rounds th, .rounds td { overflow-wrap: normal; }
-.plot { width: 100%; height: auto; font-size: 11px; } .plot text { fill: var(--muted); } .plot path { fill: none; }
-.plot .grid { stroke: var(--grid); display: initial; } .plot .first { stroke: var(--two); stroke-width: 2; }
-.plot .between { stroke: var(--three); stroke-width: 0.7; opacity: 0.6; }
-.plot .last { stroke: var(--bad); stroke-width: 2; stroke-dasharray: 6 3; }
-.plot .kernel { stroke: var(--muted); stroke-width: 1; stroke-dasharray: 2 3; }
-.plot .flown { stroke: var(--truth); stroke-width: 1; } .plot .target { stroke: var(--learned); stroke-width: 1.8; }
-.plot .cell { fill: var(--truth); stroke: var(--card); stroke-width: 0.3; }
-.plot .steps { stroke: var(--truth); stroke-width: 2; } .keys .first i { border-color: var(--two); }
-.keys .last i { border-color: var(--bad); border-top-style: dashed; } .keys .flown i { border-color: var(--truth); }
-.keys .kernel i { border-color: var(--muted); border-top-style: dotted; }
-.keys .target i { border-color: var(--learned); }
-.keys .between i { border-color: var(--three); }
-@media (max-width: 1150px) { .tables > .wide { grid-column: span 12; } }
-@media (max-width: 640px) {
-  .rounds { font-size: 11px; } .rounds th:nth-child(4), .rounds td:nth-child(4) { display: none; }
-}
-"""
 _ROUNDS_HEAD = "".join(
     f"<th>{words}</th>" for words in ("Round", "Axis", "Time", "Certificate", "Area", "Bound", "Flown through")
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from html import escape
 from importlib import resources
@@ -144,7 +145,7 @@ def _barrier(flight: FlightReport, filtered: tuple[Panel, ...]) -> str:
     )
 
 
-def figures_html(figures: tuple[words.KeyFigure, ...]) -> str:
+def figures_html(figures: Sequence[words.KeyFigure]) -> str:
     """Key figures as items of a description list."""
     return "".join(
         f'<div class="figure {figure.state}"><dt>{escape(figure.label)}</dt><dd>{escape(figure.value)}</dd>'
