@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from flightstack.types import InputError, Tuple3
 
 _MOST_SHOWN = 200
 
 
-def load_toml(text: str, source: str, schema: str, known: Iterable[str]) -> dict[str, object]:
-    """The top table of a TOML text, its schema and its keys checked."""
+def read_toml(text: str, source: str) -> dict[str, Any]:
+    """The top table of a TOML text."""
     try:
-        data: dict[str, object] = tomllib.loads(text)
+        return tomllib.loads(text)
     except ValueError as error:  # tomllib's own, and Python's for a number of thousands of digits
         raise InputError(f"{source}: not valid TOML: {error}") from None
+
+
+def load_toml(text: str, source: str, schema: str, known: Iterable[str]) -> dict[str, Any]:
+    """The top table of a TOML text, its schema and its keys checked."""
+    data = read_toml(text, source)
     only(data, ("schema", *known), source)
     if data.get("schema") != schema:
         raise InputError(f'{source}: schema = {shown(data.get("schema"))} is not known; this version reads "{schema}"')

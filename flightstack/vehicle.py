@@ -6,7 +6,6 @@ nano quadrotor and a 50 kg carrier alike; what lies outside is a typing error mo
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -15,6 +14,7 @@ import numpy as np
 
 from flightstack import ranges as rng
 from flightstack.autopilot_params import AUTOPILOT_PARAMS
+from flightstack.checked import load_toml
 from flightstack.effects import EFFECTS, check_effect
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError
 
@@ -123,21 +123,12 @@ TABLES: dict[str, dict[str, _Key]] = {
         "resistance_ohm": _Key(0.0, 10.0, "ohm"),
     },
 }
-_TOP_KEYS = ("schema", "name", "body", "rotors", "battery", "effects", "autopilot")
+_TOP_KEYS = ("name", "body", "rotors", "battery", "effects", "autopilot")
 
 
 def parse_vehicle(text: str, source: str) -> Vehicle:
     """The vehicle that `text` describes; InputError in one line names `source`, the key and what is allowed."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{source}: not valid TOML: {error}") from None
-    for key in data:
-        if key not in _TOP_KEYS:
-            raise InputError(f"{source}: unknown key {key}; known are {', '.join(_TOP_KEYS)}")
-    if data.get("schema") != SCHEMA:
-        raise InputError(f'{source}: schema = {data.get("schema")!r} is not known; this version reads "{SCHEMA}"')
-    data, ranges = _without_ranges(data, source)
+    data, ranges = _without_ranges(load_toml(text, source, SCHEMA, _TOP_KEYS), source)
     name = data.get("name")
     if not isinstance(name, str) or not name or not name.isprintable():
         raise InputError(f"{source}: name = {name!r} is not allowed; give the vehicle a name of printable characters")

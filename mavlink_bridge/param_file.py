@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from typing import NamedTuple
 
+from flightstack.checked import load_toml
 from flightstack.types import InputError
 
 SCHEMA = "flightstack.params/1"
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
-_KEYS = ("schema", "name", "description", "sensors", "set")
+_KEYS = ("name", "description", "sensors", "set")
 
 
 class ParamFile(NamedTuple):
@@ -24,15 +24,7 @@ class ParamFile(NamedTuple):
 
 def parse_params(text: str, source: str) -> ParamFile:
     """The table `set` and the key `sensors`; InputError in one line names `source` and what is wrong."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{source}: not valid TOML: {error}") from None
-    for key in data:
-        if key not in _KEYS:
-            raise InputError(f"{source}: unknown key {key}; known are {', '.join(_KEYS)}")
-    if data.get("schema") != SCHEMA:
-        raise InputError(f'{source}: schema = {data.get("schema")!r} is not known; this version reads "{SCHEMA}"')
+    data = load_toml(text, source, SCHEMA, _KEYS)
     table = data.get("set")
     if not isinstance(table, dict) or not table:
         raise InputError(f"{source}: table [set] is missing or empty; it holds NAME = value")

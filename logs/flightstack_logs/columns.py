@@ -7,13 +7,13 @@ all there is used.  The format is documented in docs/gap-logs.md.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from flightstack.checked import read_toml
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, InputError
 from flightstack_logs.turn import body_to_frd, euler_to_quaternion, multiply, world_to_ned
 
@@ -87,10 +87,7 @@ class ColumnMap:
 
 def parse_columns(text: str, source: str) -> ColumnMap:
     """The map that `text` describes; InputError in one line names `source`, the key and what is allowed."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{source}: not valid TOML: {error}") from None
+    data = read_toml(text, source)
     if data.pop("schema", None) != SCHEMA:
         raise InputError(f'{source}: schema must be "{SCHEMA}" (see docs/gap-logs.md)')
     lenient = data.pop("lenient", False)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
+from flightstack.checked import load_toml, only, words
 from flightstack.dotted import changed
 from flightstack.toml_text import toml_text
 from flightstack.types import InputError, Tuple3
@@ -160,20 +161,9 @@ def changed_grade(name: str, changes: Mapping[str, object], source: str) -> Grad
 
 def parse_grade(text: str, source: str) -> Grade:
     """Read a sensor file's text; `source` names it in errors."""
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{source}: not TOML: {error}") from None
-    if table.pop("schema", None) != SCHEMA:
-        raise InputError(f'{source}: schema must be "{SCHEMA}"')
-    name = table.pop("name", None)
-    if not isinstance(name, str) or not name:
-        raise InputError(f"{source}: name must be a text")
-    for key in table:
-        if key not in _KEYS:
-            raise InputError(f"{source}: unknown key {key}; allowed are {', '.join(_KEYS)}")
+    table = load_toml(text, source, SCHEMA, ("name", *_KEYS))
     return Grade(
-        name,
+        words(table.get("name"), f"{source}: name"),
         ImuGrade(**_section(table, "imu", source)),
         FixGrade(**_section(table, "fix", source)),
         EstimateGrade(**_section(table, "estimate", source)),
@@ -187,9 +177,7 @@ def _section(table: dict[str, Any], section: str, source: str) -> dict[str, Any]
     if not isinstance(values, dict):
         raise InputError(f"{source}: table [{section}] is missing")
     spec = _KEYS[section]
-    for key in values:
-        if key not in spec:
-            raise InputError(f"{source}: unknown key {section}.{key}; allowed are {', '.join(spec)}")
+    only(values, spec, f"{source}: {section}")
     return {key: _numbers(values.get(key), f"{source}: {section}.{key}", *rule) for key, rule in spec.items()}
 
 

@@ -12,11 +12,12 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from flightstack.checked import number
+from flightstack.checked import number, read_toml
 from flightstack.cli.campaign import keys
 from flightstack.cli.campaign.grouped import Grouping, parse_table
 from flightstack.cli.campaign.searching import Search, parse_search
 from flightstack.cli.filed import FILES, option_value
+from flightstack.cli.files import read_text
 from flightstack.errors import InputError
 from flightstack.toml_text import toml_text
 
@@ -109,17 +110,12 @@ class CampaignSpec:
 
 def load_spec(path: Path, changes: Sequence[str] = ()) -> CampaignSpec:
     """The campaign of a file, with `changes` (KEY=VALUE, TOML); InputError, one line, where something is wrong."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file (UTF-8 expected)") from None
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
+    text = read_text(path).text
     return parse_spec(_changed(text, changes, str(path)) if changes else text, path)
 
 
 def _changed(text: str, changes: Sequence[str], source: str) -> str:
-    data = _read(text, source)
+    data = read_toml(text, source)
     for change in changes:
         try:
             merged(data, tomllib.loads(change))
@@ -138,16 +134,9 @@ def merged(data: dict[str, Any], more: Mapping[str, Any]) -> None:
             data[key] = value
 
 
-def _read(text: str, source: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{source}: not valid TOML: {error}") from None
-
-
 def parse_spec(text: str, path: Path) -> CampaignSpec:
     """The campaign that `text` describes; `path` names it and is where its files are looked for first."""
-    source, data = str(path), _read(text, str(path))
+    source, data = str(path), read_toml(text, str(path))
     for key in data:
         if key not in _TOP:
             raise keys.unknown(key, list(_TOP), source)
