@@ -89,11 +89,6 @@ class EstimateObserver:
         """(3,) share of c^ that is added to the velocity, 0..1."""
         return np.array([_weight(self.row, i) for i in range(3)])
 
-    @property
-    def distrust(self) -> float:
-        """0..1: how plainly the estimator contradicts itself, by its worst axis."""
-        return float(distrusted(self.row))
-
     def correct(self, vel_ned_mps: F64) -> None:
         """Add what is known of the disagreement to a velocity (3,), in place."""
         correct(self.row, vel_ned_mps)

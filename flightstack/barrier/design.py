@@ -190,11 +190,6 @@ def at_speed(shape: Barrier, by: float) -> Barrier:
     )
 
 
-def published(limit_m: float, mu: float) -> Quadratic:
-    """h_mu = 1 - e^2 / limit^2 - mu v^2."""
-    return Quadratic(0.0, 0.0, 1.0 / (limit_m * limit_m), 0.0, mu)
-
-
 def slice_area(
     barrier: Barrier, response: Response, a_mps2: float = 0.0, under_way_mps2: float = 0.0, inner: float = 0.0
 ) -> float:

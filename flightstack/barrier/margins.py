@@ -118,15 +118,6 @@ class Slopes(NamedTuple):
     """|dh/de v + dh/dv a|, 1/s: how fast h changes along the motion."""
 
 
-def slopes(
-    barrier: Barrier, low_mps2: float, high_mps2: float, error_mps2: float, dt_s: float, eta: float = 0.0
-) -> Slopes:
-    """For commands and accelerations from low to high and errors up to `error`."""
-    given = _ENDS_ONLY.copy()
-    given[:4] = low_mps2, high_mps2, error_mps2, dt_s
-    return Slopes(*_slopes(barrier.rows, _fastest(barrier), given, eta, _CIRCLE)[:5])
-
-
 def _fastest(barrier: Barrier) -> tuple[float, float]:
     """Least and greatest speed; of an ellipse nobody asks."""
     return (0.0, 0.0) if isinstance(barrier, Quadratic) else barrier.box[2:]
@@ -232,7 +223,6 @@ def brakes(barrier: Barrier, low_mps2: float, high_mps2: float) -> tuple[float, 
 _ANGLE = np.linspace(0.0, 2.0 * math.pi, 361)
 _CIRCLE = np.stack([np.cos(_ANGLE), np.sin(_ANGLE)])
 _LOW, _HIGH, _ERROR, _TIME, _OFF_E, _OFF_V, _OFF_LATE = range(7)
-_ENDS_ONLY = np.zeros(7)
 
 
 class _Source(NamedTuple):

@@ -111,12 +111,6 @@ def with_mu(region: Region, mu: float) -> Region:
     return replace(region, kind="ellipsoid", semi_axes_mps=(north, east, 1.0 / math.sqrt(mu)))
 
 
-def gradient(region: Region, pos_ned_m: F64, vel_ned_mps: F64) -> tuple[F64, F64]:
-    """(dh/de, dh/dv), (3,) each, of the ellipsoid's h."""
-    e = pos_ned_m - np.array(region.centre_ned_m)
-    return -2.0 * e / np.square(region.semi_axes_m), -2.0 * vel_ned_mps / np.square(region.semi_axes_mps)
-
-
 def on_the_vertical(limit_m: float, mu: float) -> Quadratic:
     """h_mu on the vertical line."""
     return Quadratic(0.0, 0.0, 1.0 / (limit_m * limit_m), 0.0, mu)

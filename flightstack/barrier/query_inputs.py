@@ -13,15 +13,9 @@ import math
 
 import numpy as np
 
-from flightstack.barrier.initial import DOWN
 from flightstack.jit import njit_called
 from flightstack.learning.sampler import AXIS_E, AXIS_N, GROUND, THRUST, D
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
-
-
-def inputs(speed: F64, thrust: F64, near: F64) -> F64:
-    """(M, D) the sampler's columns."""
-    return along(DOWN, speed, thrust, near, np.zeros(3))[0]
 
 
 @njit_called
@@ -46,19 +40,6 @@ def along(axis: int, speed: F64, thrust: F64, near: F64, drag_per_s: F64) -> tup
         x[m, THRUST] = size / STANDARD_GRAVITY_MPS2
         x[m, GROUND] = x[m, THRUST] * near[m]
     return x, rows, mean
-
-
-def turns(axis_n: F64, axis_e: F64) -> F64:
-    """(M, 3, 3) tilt axes to NED of each thrust axis: `tilt.tilt_axes` for many."""
-    down = np.sqrt(np.maximum(1.0 - axis_n**2 - axis_e**2, 0.0))
-    share = 1.0 / (1.0 + down)
-    cross = -share * axis_n * axis_e
-    rows = [
-        [1.0 - share * axis_n**2, cross, axis_n],
-        [cross, 1.0 - share * axis_e**2, axis_e],
-        [-axis_n, -axis_e, down],
-    ]
-    return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
 
 
 def proximity(radius_m: float, height_m: float) -> float:

@@ -100,16 +100,6 @@ def _better(
     return found, ratios
 
 
-def whole(steps: Generator[None, None, _T]) -> _T:
-    """What comes of a piece-wise search, without a pause."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            result: _T = end.value
-            return result
-
-
 def _grown(
     axis: Axis, ledger: Ledger, shape: Barrier, before: Setting | None
 ) -> Generator[None, None, AxisCertificate | None]:

@@ -18,14 +18,3 @@ def area(limit_low_m: float, limit_high_m: float, u_low_mps2: float, u_high_mps2
         return 0.0
     up, down = math.sqrt(-2.0 * u_low_mps2 * room), math.sqrt(2.0 * u_high_mps2 * room)
     return 2.0 / 3.0 * room * (up + down)
-
-
-def holds(
-    p_m: float, v_mps: float, limit_low_m: float, limit_high_m: float, u_low_mps2: float, u_high_mps2: float
-) -> bool:
-    """Whether a state lies in the kernel."""
-    if not limit_low_m <= p_m <= limit_high_m:
-        return False
-    if v_mps >= 0.0:
-        return v_mps * v_mps <= -2.0 * u_low_mps2 * (limit_high_m - p_m)
-    return v_mps * v_mps <= 2.0 * u_high_mps2 * (p_m - limit_low_m)

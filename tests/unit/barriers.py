@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from typing import TypeVar
+
 import numpy as np
 
+from flightstack.barrier.initial import DOWN
+from flightstack.barrier.query_inputs import along
 from flightstack.barrier.records import Authority
 from flightstack.barrier.shapes import Barrier, Quadratic
 from flightstack.types import F64
 
+_T = TypeVar("_T")
 PAPER = (-2.80286, 9.81)
 """Range of the true vertical acceleration: 1.8 / 1.4 - 1 g upwards, g downwards."""
 
@@ -43,3 +49,42 @@ def changing(nodes: int = 13) -> Authority:
 def cross_term(mu: float, c: float) -> Quadratic:
     """|e| <= 0.6 whatever the cross term."""
     return Quadratic(0.0, 0.0, 1.0 / 0.36 + c * c / mu, c, mu)
+
+
+def in_kernel(
+    p_m: float, v_mps: float, limit_low_m: float, limit_high_m: float, u_low_mps2: float, u_high_mps2: float
+) -> bool:
+    """Whether a state lies in the viability kernel of a double integrator on a strip (`viability.area`)."""
+    if not limit_low_m <= p_m <= limit_high_m:
+        return False
+    if v_mps >= 0.0:
+        return v_mps * v_mps <= -2.0 * u_low_mps2 * (limit_high_m - p_m)
+    return v_mps * v_mps <= 2.0 * u_high_mps2 * (p_m - limit_low_m)
+
+
+def inputs(speed: F64, thrust: F64, near: F64) -> F64:
+    """(M, D) the sampler's columns."""
+    return along(DOWN, speed, thrust, near, np.zeros(3))[0]
+
+
+def turns(axis_n: F64, axis_e: F64) -> F64:
+    """(M, 3, 3) tilt axes to NED of each thrust axis: `tilt.tilt_axes` for many."""
+    down = np.sqrt(np.maximum(1.0 - axis_n**2 - axis_e**2, 0.0))
+    share = 1.0 / (1.0 + down)
+    cross = -share * axis_n * axis_e
+    rows = [
+        [1.0 - share * axis_n**2, cross, axis_n],
+        [cross, 1.0 - share * axis_e**2, axis_e],
+        [-axis_n, -axis_e, down],
+    ]
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
+
+
+def whole(steps: Generator[None, None, _T]) -> _T:
+    """What comes of a piece-wise search, without a pause."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: _T = end.value
+            return result

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from flightstack.barrier.condition import Reach, Setting, coefficients, interval
-from flightstack.barrier.design import published
+from flightstack.barrier.published import on_the_vertical
 from flightstack.barrier.records import Authority
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, piece_at
 from flightstack.types import F64
 
 SHAPES = [
-    published(0.6, 0.8),
+    on_the_vertical(0.6, 0.8),
     Quadratic(0.05, -0.9, 3.33, 0.35, 0.21),
     Quadratic(0.0, 0.4, 4.0, -0.9, 0.6),
     Stopping(-0.58, 0.59, 0.06, 2.6, 9.0),
@@ -155,7 +155,7 @@ def test_an_early_next_command_is_allowed_for() -> None:
 
 
 def test_without_doubts_and_hold_it_is_the_published_condition() -> None:
-    shape, reach = published(0.6, 0.6), Reach(-2.80286, 9.81, 0.2, 0.2)
+    shape, reach = on_the_vertical(0.6, 0.6), Reach(-2.80286, 9.81, 0.2, 0.2)
     for e, v, u in [(0.1, 0.3, -2.0), (-0.5, 0.2, 5.0), (0.3, -1.0, 9.0)]:
         h = 1.0 - e * e / 0.36 - 0.6 * v * v
         slope = -2.0 * 0.6 * v

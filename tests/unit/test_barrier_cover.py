@@ -11,7 +11,8 @@ from barriers import PAPER, changing, constant, cross_term, h
 
 from flightstack.barrier.condition import Setting, coefficients
 from flightstack.barrier.cover import Cover, _insert, bands, cover, region_box
-from flightstack.barrier.design import at_speed, published
+from flightstack.barrier.design import at_speed
+from flightstack.barrier.published import on_the_vertical
 from flightstack.barrier.records import Authority
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 from flightstack.types import F64
@@ -109,7 +110,7 @@ def test_few_cells_where_there_is_margin() -> None:
 @pytest.mark.parametrize("gamma", [0.5, 2.0, 10.0])
 def test_published_form_never_closes(mu: float, gamma: float) -> None:
     """At its tips (|e| = 0.6, v = 0) every term of the condition vanishes, whatever mu and gamma: no margin at all."""
-    found = cover(published(0.6, mu), Setting(gamma, 0.0, 0.0, 0.0), constant(*PAPER))
+    found = cover(on_the_vertical(0.6, mu), Setting(gamma, 0.0, 0.0, 0.0), constant(*PAPER))
     assert not found.closed
     assert found.failed is not None
     assert abs(found.failed[0]) == pytest.approx(0.6, abs=1e-3)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from barriers import PAPER, changing, constant, cross_term, h
+from barriers import PAPER, changing, constant, cross_term, h, in_kernel
 
 from flightstack.barrier import viability
 from flightstack.barrier.condition import Setting
@@ -19,11 +19,11 @@ from flightstack.barrier.design import (
     at_speed,
     grow,
     largest,
-    published,
     slice_area,
     worst_slice_area,
 )  # fmt: skip
 from flightstack.barrier.design_search import sized
+from flightstack.barrier.published import on_the_vertical
 from flightstack.barrier.records import Response
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping
 
@@ -72,7 +72,7 @@ def test_share_of_the_kernel_of_the_same_reduced_system(error: float, family: st
     e_low, e_high, v_low, v_high = barrier.box
     for e, v in np.random.default_rng(1).uniform((e_low, v_low), (e_high, v_high), (3000, 2)):
         if h(barrier, e, v) >= 0.0:
-            assert viability.holds(e, v, -0.6, 0.6, PAPER[0] + error, PAPER[1] - error)
+            assert in_kernel(e, v, -0.6, 0.6, PAPER[0] + error, PAPER[1] - error)
 
 
 @pytest.mark.parametrize("error", ERRORS)
@@ -182,7 +182,7 @@ def test_a_shape_too_wide_at_any_speed_does_not_grow() -> None:
 
 
 def test_sizes_are_what_they_say() -> None:
-    shape = published(0.6, 6.3)
+    shape = on_the_vertical(0.6, 6.3)
     faster = at_speed(shape, 2.0)
     assert isinstance(faster, Quadratic)
     assert faster.p22 == pytest.approx(6.3 / 4.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from barriers import h
+from barriers import h, whole
 from measured import measured
 
 from flightstack.barrier.condition import interval
@@ -12,7 +12,7 @@ from flightstack.barrier.design import SafeSet
 from flightstack.barrier.flown import FlownPath, planned_of
 from flightstack.barrier.margins import Accuracy, Ledger
 from flightstack.barrier.records import Authority, AxisCertificate, Response
-from flightstack.barrier.search import Axis, largest_steps, whole
+from flightstack.barrier.search import Axis, largest_steps
 from flightstack.region import Region
 from flightstack.trajectory import Sinusoid
 from flightstack.types import Measurement

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from barriers import h
 
-from flightstack.barrier.design import published
+from flightstack.barrier.published import on_the_vertical
 from flightstack.barrier.shapes import K_EE, K_EV, K_VV, Barrier, Quadratic, Stopping, gradient, piece_at, value
 from flightstack.types import InputError
 
 SHAPES = [
-    published(0.6, 0.6),
+    on_the_vertical(0.6, 0.6),
     Quadratic(0.1, -0.88, 3.284, 0.313, 0.194),
     Stopping(-0.6, 0.5, 0.05, 2.6, 9.0),
     Stopping(-0.2, 0.9, 0.3, 1.0, 0.7),
@@ -71,10 +71,10 @@ def test_area_and_box_against_a_count_on_a_grid(shape: Barrier) -> None:
 
 
 def test_published_form() -> None:
-    shape = published(0.6, 6.3)
+    shape = on_the_vertical(0.6, 6.3)
     for e, v in [(0.0, 0.0), (0.3, -0.1), (-0.6, 0.0), (0.1, 0.5)]:
         assert value(shape, e, v) == pytest.approx(1.0 - e * e / 0.36 - 6.3 * v * v, abs=1e-12)
-    assert published(0.6, 0.594631).area_m2ps == pytest.approx(2.444, abs=5e-4)
+    assert on_the_vertical(0.6, 0.594631).area_m2ps == pytest.approx(2.444, abs=5e-4)
 
 
 def test_areas_of_the_known_ellipses() -> None:

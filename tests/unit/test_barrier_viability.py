@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from barriers import in_kernel
 from scipy.ndimage import map_coordinates
 
 from flightstack.barrier import viability
@@ -42,7 +43,7 @@ def test_known_areas() -> None:
 
 def test_area_is_that_of_its_states() -> None:
     p, v = np.linspace(-0.5, 0.7, 801), np.linspace(-4.0, 4.0, 801)
-    inside = np.array([[viability.holds(x, y, -0.4, 0.6, -2.0, 5.0) for y in v] for x in p])
+    inside = np.array([[in_kernel(x, y, -0.4, 0.6, -2.0, 5.0) for y in v] for x in p])
     counted = inside.sum() * (p[1] - p[0]) * (v[1] - v[0])
     assert viability.area(-0.4, 0.6, -2.0, 5.0) == pytest.approx(counted, rel=5e-3)
 
@@ -57,7 +58,7 @@ def test_kernel_against_the_game_on_a_grid(error: float) -> None:
     assert played == pytest.approx(viability.area(-0.6, 0.6, u_low + error, u_high - error), rel=0.03)
     for i in range(0, len(p), 4):
         for j in range(0, len(v), 4):  # the grid smears the kernel's edge, most at its pointed ends
-            if viability.holds(p[i], v[j], -0.54, 0.54, 0.9 * (u_low + error), 0.9 * (u_high - error)):
+            if in_kernel(p[i], v[j], -0.54, 0.54, 0.9 * (u_low + error), 0.9 * (u_high - error)):
                 assert worth[i, j] > 0.0
-            if not viability.holds(p[i], v[j], -0.63, 0.63, 1.05 * (u_low + error), 1.05 * (u_high - error)):
+            if not in_kernel(p[i], v[j], -0.63, 0.63, 1.05 * (u_low + error), 1.05 * (u_high - error)):
                 assert worth[i, j] < 0.0

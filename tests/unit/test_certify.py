@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from axis_certificates import axis_of, certificate_of
+from barriers import in_kernel
 from measured import measured
 from shipped import load_scenario, load_vehicle
 
-from flightstack.barrier import viability
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.growing import VERTICAL, GrowingCertifier, GrowthState
 from flightstack.barrier.records import Certificate, Margin
@@ -259,8 +259,8 @@ def test_outlines_lie_on_their_boundaries() -> None:
     for e, v in boundary(Quadratic(0.0, -0.1, 3.0, 0.4, 1.2)):
         assert value(Quadratic(0.0, -0.1, 3.0, 0.4, 1.2), float(e), float(v)) == pytest.approx(0.0, abs=1e-6)
     for e, v in kernel_outline(0.6, -2.0, 8.0)[1:-1:7]:
-        assert viability.holds(float(e), float(0.999 * v), -0.6, 0.6, -2.0, 8.0)
-        assert abs(v) < 1e-9 or not viability.holds(float(e), float(1.001 * v), -0.6, 0.6, -2.0, 8.0)
+        assert in_kernel(float(e), float(0.999 * v), -0.6, 0.6, -2.0, 8.0)
+        assert abs(v) < 1e-9 or not in_kernel(float(e), float(1.001 * v), -0.6, 0.6, -2.0, 8.0)
 
 
 def test_ticks_are_round_and_inside() -> None:

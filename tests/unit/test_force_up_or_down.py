@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from barriers import turns
 
 from flightstack.barrier.posterior import Posterior, Process, sized_steps
-from flightstack.barrier.query_inputs import turns
 from flightstack.learning.priors import default_priors
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 

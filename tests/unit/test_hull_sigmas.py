@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from barriers import inputs, turns
 from certificates import ESTIMATE, MODEL, known_vehicle
 from scipy.stats import binom, multivariate_normal, norm, wishart
 
@@ -16,7 +17,6 @@ from flightstack.barrier.hull_sigmas import Sides, sigmas
 from flightstack.barrier.knowledge import Envelope, InitialKnowledge, Knowledge, Request
 from flightstack.barrier.posterior import Posterior
 from flightstack.barrier.queries import queries
-from flightstack.barrier.query_inputs import inputs, turns
 from flightstack.barrier.response import C_LEAD_THRUST, CHAIN, STATE, lead
 from flightstack.certificate_check.knowledge import Box, read, tables
 from flightstack.certificate_check.reading import Refused

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from flightstack.barrier import margins
 from flightstack.barrier.condition import Reach, Setting, coefficients, margin_at
-from flightstack.barrier.margins import USUAL, Accuracy, Doubts, Ledger, _sources, slopes
+from flightstack.barrier.margins import USUAL, Accuracy, Doubts, Ledger, Slopes, _sources
 from flightstack.barrier.records import MARGINS, Authority, Response
 from flightstack.barrier.shapes import Barrier, Quadratic, Stopping, piece_at
 from tests.thorough import ONLY_THEN
@@ -24,6 +25,14 @@ LOW, HIGH, ERROR, DT = -2.5, 4.0, 0.4, 0.004
 def authority() -> Authority:
     v, one = np.array([-4.0, 4.0]), np.ones(2)
     return Authority(v, 9.8 * one, 0.7 * one, LOW * one, HIGH * one, ERROR * one, ERROR * one)
+
+
+def slopes(barrier: Barrier, low_mps2: float, high_mps2: float, error_mps2: float, dt_s: float) -> Slopes:
+    """For commands and accelerations from low to high and errors up to `error`."""
+    given = np.zeros(7)
+    given[:4] = low_mps2, high_mps2, error_mps2, dt_s
+    found = margins._slopes(barrier.rows, margins._fastest(barrier), given, 0.0, margins._CIRCLE)
+    return Slopes(*found[:5])
 
 
 def inside(barrier: Barrier, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

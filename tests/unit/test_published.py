@@ -14,7 +14,6 @@ from flightstack.barrier.published import (
     accepted,
     certificate,
     constant,
-    gradient,
     grid,
     learned,
     least_mu,
@@ -248,17 +247,6 @@ def test_the_certificate_says_the_ellipsoid_and_that_it_is_not_robust() -> None:
     down = made.axes[2].barrier
     assert isinstance(down, Quadratic)
     assert (down.p11, down.p12, down.p22) == pytest.approx((1.0 / 0.36, 0.0, 0.6))
-
-
-def test_gradient_against_differences() -> None:
-    region = with_mu(REGION, 0.7)
-    pos, vel, step = np.array([0.1, -0.2, -0.6]), np.array([0.2, 0.1, -0.5]), 1e-6
-    by_e, by_v = gradient(region, pos, vel)
-    for i, unit in enumerate(np.eye(3) * step):
-        ahead, behind = region.value(pos + unit, vel), region.value(pos - unit, vel)
-        assert by_e[i] == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-6)
-        ahead, behind = region.value(pos, vel + unit), region.value(pos, vel - unit)
-        assert by_v[i] == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-6)
 
 
 def test_bad_numbers_are_refused_in_words() -> None:
