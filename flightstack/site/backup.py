@@ -13,15 +13,7 @@ import math
 import numpy as np
 from scipy.linalg import expm
 
-from flightstack.barrier.response import (
-    C_CURVE,
-    C_NORM_HIGH,
-    C_NORM_LOW,
-    C_SPECIFIC,
-    S_ROTORS,
-    STATE,
-    thrust_of,
-)
+from flightstack.barrier.response import C_CURVE, C_NORM_HIGH, C_NORM_LOW, C_SPECIFIC, S_ROTORS, STATE, thrust_of
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import njit, njit_called
 from flightstack.model import thrust_to_norm

@@ -18,15 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flightstack.autopilot import autopilot_of, torque_per_slope
-from flightstack.barrier.response import (
-    C_RATE_DELAY,
-    C_RATE_LAG,
-    M_ROTORS,
-    S_ROTORS,
-    acting,
-    advance,
-    held_until,
-)
+from flightstack.barrier.response import C_RATE_DELAY, C_RATE_LAG, M_ROTORS, S_ROTORS, acting, advance, held_until
 from flightstack.barrier.torque import GovernorTerms
 from flightstack.jit import njit
 from flightstack.model import Limits, Model

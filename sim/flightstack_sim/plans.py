@@ -13,6 +13,8 @@ import zlib
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+from flightstack.autopilot import float32
+
 MISSION, FENCE, RALLY = 0, 1, 2
 KINDS: Final = (MISSION, FENCE, RALLY)
 ALL: Final = 255
@@ -134,7 +136,7 @@ def returned(item: Item, kind: int) -> Item:
         item = item._replace(command=_ROI[1]) if item.command == _ROI[0] else item
     else:
         forms = "wwpp" if item.command == ItemCmd.JUMP else "pppp"
-        item = item._replace(x=_float32(item.x), y=_float32(item.y))
+        item = item._replace(x=float32(item.x), y=float32(item.y))
     one, two, three, four = (_formed(form, value) for form, value in zip(forms, item.params, strict=True))
     return item._replace(autocontinue=item.autocontinue & 1, params=(one, two, three, four))
 
@@ -152,11 +154,6 @@ def _formed(form: str, value: float) -> float:
 def _whole(value: float) -> int:
     """Towards 0; of what is no number of 32 bits, the least one."""
     return int(value) if abs(value) < 2.0**31 else -(2**31)
-
-
-def _float32(value: float) -> float:
-    found: float = struct.unpack("<f", struct.pack("<f", value))[0]
-    return found
 
 
 def corners(item: Item) -> int:

@@ -9,7 +9,6 @@ rotors' places, and the rate loops' K, which PX4 tunes for each airframe.
 from __future__ import annotations
 
 import math
-import struct
 import tomllib
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from enum import IntEnum
 from importlib import resources
 from typing import Any
 
+from flightstack.autopilot import float32
 from flightstack.types import InputError
 
 
@@ -51,17 +51,12 @@ class Px4ParamSpec:
     text: str
 
 
-def _float32(value: float) -> float:
-    """The nearest value that PX4's 32-bit float can hold."""
-    return float(struct.unpack("<f", struct.pack("<f", value))[0])
-
-
 def _spec(name: str, row: Sequence[Any]) -> Px4ParamSpec:
     """A row of the table: default, least, most, unit, meaning; a whole default is an INT32's."""
     default, minimum, maximum, unit, text = row
     if isinstance(default, int):
         return Px4ParamSpec(name, ParamType.INT32, default, minimum, maximum, unit, text)
-    return Px4ParamSpec(name, ParamType.REAL32, _float32(default), minimum, maximum, unit, text)
+    return Px4ParamSpec(name, ParamType.REAL32, float32(default), minimum, maximum, unit, text)
 
 
 _TABLE = tomllib.loads(resources.files(__package__).joinpath("px4_params.toml").read_text(encoding="utf-8"))
@@ -122,7 +117,7 @@ class Params:
         if spec.type is ParamType.REAL32:  # the limits too are what 32 bits can hold
             if abs(value) > 3.0e38:
                 return ParamResult.VALUE_OUT_OF_RANGE
-            value, low, high = _float32(value), _float32(low), _float32(high)
+            value, low, high = float32(value), float32(low), float32(high)
         if not low <= value <= high:
             return ParamResult.VALUE_OUT_OF_RANGE
         if value != self._values[index]:

@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from flightstack.types import STANDARD_GRAVITY_MPS2, Tuple3, Tuple4
+from flightstack.frames import quat_from_euler
+from flightstack.types import STANDARD_GRAVITY_MPS2, Tuple3
 from flightstack_sim.autopilot import modes
 from flightstack_sim.autopilot.modes import Mode
 from flightstack_sim.autopilot.params import Params
@@ -122,17 +123,8 @@ class StickFlight:
         self._yaw_rad = math.remainder(self._yaw_rad + yaw_rate * _TICK_S, 2.0 * math.pi)
         low = get("MPC_MANTHR_MIN")
         thrust = hover + sticks.up * (get("MPC_THR_MAX") - hover if sticks.up > 0.0 else hover - low)
-        q = _attitude(tilt * _dead(sticks.right), -tilt * _dead(sticks.forward), self._yaw_rad)
-        return ControlSetpoint(ControlKind.ATTITUDE, thrust_norm=thrust, q_ned_frd=q, yaw_rate_radps=yaw_rate)
-
-
-def _attitude(roll: float, pitch: float, yaw: float) -> Tuple4:
-    """Quaternion of yaw, then pitch, then roll."""
-    cr, sr, cp, sp = math.cos(roll / 2), math.sin(roll / 2), math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
+        q = quat_from_euler(tilt * _dead(sticks.right), -tilt * _dead(sticks.forward), self._yaw_rad)
+        w, x, y, z = q.tolist()
+        return ControlSetpoint(
+            ControlKind.ATTITUDE, thrust_norm=thrust, q_ned_frd=(w, x, y, z), yaw_rate_radps=yaw_rate
+        )
