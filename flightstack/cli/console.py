@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from flightstack.certificate_check import Verdict
+from flightstack.cli import terminal
 from flightstack.cli.estimate_score import estimate_words
 from flightstack.cli.result import FlightResult
 from flightstack.cli.terminal import errors, output, show
@@ -40,15 +41,10 @@ def show_result(result: FlightResult) -> None:
         verdict = "[bold green]completed[/]" if result.completed else "[bold]nothing was to be flown[/]"
     else:
         verdict = f"[bold red]{_not_passed(result)}[/]"
-    table = Table(title=f"{result.scenario}: {verdict}", title_justify="left", show_header=False, box=None)
-    table.add_column(style="dim")
-    table.add_column()
-    for name, value in _rows(result):
-        table.add_row(name, value)
-    show(table)
+    terminal.facts(_rows(result), f"{result.scenario}: {verdict}")
     for name, path in (("log", result.log), ("report", result.report)):
         if path:  # outside the table: a path must never be cut or wrapped
-            output.print(f" {name:<8}{path}", soft_wrap=True, markup=False)
+            terminal.say(f" {name:<8}{path}")
     for problem in filter(None, (result.log_problem, result.report_problem)):
         output.print(f" [red]{problem}[/]", soft_wrap=True)
 
@@ -64,7 +60,7 @@ def _show_checklist(result: FlightResult) -> None:
         table.add_row(mark, escape(check["check"]), escape(check["said"]))
     show(table)
     if result.log:
-        output.print(f" log     {result.log}", soft_wrap=True, markup=False)
+        terminal.say(f" log     {result.log}")
 
 
 def _not_passed(result: FlightResult) -> str:
@@ -82,31 +78,23 @@ def show_certified(result: CertifyResult) -> None:
     from flightstack.cli.certified_page import figures
 
     good = "[bold green]certified[/]" if not result.as_published else "[bold]done, not robustly certifiable[/]"
-    table = Table(
-        title=f"{result.flight.scenario}: {good if result.passed else '[bold red]NOT certified[/]'}",
-        title_justify="left",
-        show_header=False,
-        box=None,
-    )
-    table.add_column(style="dim")
-    table.add_column()
-    table.add_row("how it ended", escape(result.words))
+    rows = [("how it ended", escape(result.words))]
     for each in figures(result):
-        table.add_row(each.label.lower(), escape(f"{each.value} ({each.note})" if each.note else each.value))
-    show(table)
+        rows.append((each.label.lower(), escape(f"{each.value} ({each.note})" if each.note else each.value)))
+    terminal.facts(rows, f"{result.flight.scenario}: {good if result.passed else '[bold red]NOT certified[/]'}")
     for line in result.verdict:
-        output.print(f" checker {line}", soft_wrap=True, markup=False)
+        terminal.say(f" checker {line}")
     for name, path in (("certificate", result.certificate), ("log", result.flight.log), ("report", result.report)):
         if path:
-            output.print(f" {name:<12}{path}", soft_wrap=True, markup=False)
+            terminal.say(f" {name:<12}{path}")
 
 
 def show_checked(path: str, verdict: Verdict) -> None:
     """What the independent checker said of a file; the last line is its verdict."""
     for line in verdict.lines:
-        output.print(f" {line}", soft_wrap=True, markup=False)
+        terminal.say(f" {line}")
     said = f"valid, {verdict.level}" if verdict.valid else "NOT valid"
-    output.print(f"{path}: {said}", soft_wrap=True, markup=False)
+    terminal.say(f"{path}: {said}")
 
 
 def _rows(result: FlightResult) -> Iterator[tuple[str, str]]:

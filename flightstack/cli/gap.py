@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.markup import escape
-from rich.table import Table
 
-from flightstack.cli import files
-from flightstack.cli.terminal import output, show
+from flightstack.cli import files, terminal
+from flightstack.cli.terminal import output
 from flightstack.gap.add import vehicle_file
 from flightstack.gap.report import words, write_report
 from flightstack.gap.result import GapResult, as_json
@@ -65,20 +64,18 @@ def find_gap(
 def show_gap(result: GapResult, out: Path) -> None:
     """The sentence, what was named, and where the files lie."""
     output.print(escape(result.sentence), style="bold", soft_wrap=True)
-    table = Table(show_header=False, box=None)
-    table.add_column(style="dim")
-    table.add_column()
+    rows = []
     for log in result.report.logs:
         for finding in log.findings:
             if finding.level != "ok":
-                table.add_row("data", escape(f"{log.name}: {finding.text}"))
+                rows.append(("data", escape(f"{log.name}: {finding.text}")))
         for note in log.notes:
-            table.add_row("data", escape(f"{log.name}: {note}"))
+            rows.append(("data", escape(f"{log.name}: {note}")))
     for found in result.found:
         shown = ", ".join(words.parameter(found, name) for name in found.parameters)
-        table.add_row("effect", escape(f"{found.name}: {shown}"))
+        rows.append(("effect", escape(f"{found.name}: {shown}")))
         if found.indistinguishable_from:
-            table.add_row("", escape(f"or {', '.join(found.indistinguishable_from)}; to split: {found.manoeuvre}"))
+            rows.append(("", escape(f"or {', '.join(found.indistinguishable_from)}; to split: {found.manoeuvre}")))
     for label, name, unit in (
         ("force, one step", "one_step_mps2", "m/s²"),
         ("turning, one step", "one_step_radps2", "rad/s²"),
@@ -88,10 +85,10 @@ def show_gap(result: GapResult, out: Path) -> None:
             words.figure(getattr(part, name), unit)
             for part in (result.gap.before, result.gap.after, result.gap.noise_floor)
         )
-        table.add_row(label, f"{before} before, {after} after, {floor} of noise")
-    show(table)
+        rows.append((label, f"{before} before, {after} after, {floor} of noise"))
+    terminal.facts(rows)
     for name in ("gap.json", "vehicle.toml", "report.html"):
-        output.print(f" {name:<14}{out / name}", soft_wrap=True, markup=False)
+        terminal.say(f" {name:<14}{out / name}")
 
 
 def _vehicle_file(result: GapResult) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
@@ -55,6 +55,16 @@ def show(what: Any) -> None:
         return
     for line in _lines(what):
         output.print(Text(line), soft_wrap=True)
+
+
+def facts(rows: Iterable[tuple[str, str]], title: str = "") -> None:
+    """Names and what is said of each (with markup), in two columns."""
+    table = Table(title=title or None, title_justify="left", show_header=False, box=None)
+    table.add_column(style="dim")
+    table.add_column()
+    for row in rows:
+        table.add_row(*row)
+    show(table)
 
 
 def say(text: str) -> None:

@@ -67,7 +67,7 @@ def check(
         lines = contradictions(values, vehicle, hover)
         notes = [note for note in (unsettled_hover(values, hover),) if note]
     for line in (*lines, *notes):
-        terminal.output.print(line, soft_wrap=True, markup=False)
+        terminal.say(line)
     result = {"schema": SCHEMA, "vehicle": vehicle.name, "contradictions": lines, "warnings": notes}
     files.write_json(json, result)
     if lines:
@@ -91,8 +91,8 @@ def fit(
     done, text = fit_file(logs, vehicle, columns, ground_d)
     files.write_text(out, text)
     for line in lines(done):
-        terminal.output.print(line, soft_wrap=True, markup=False, highlight=False)
-    terminal.output.print(f"wrote {out}", soft_wrap=True, markup=False)
+        terminal.say(line)
+    terminal.say(f"wrote {out}")
     files.write_json(json, as_json(done, [str(path) for path in logs], vehicle))
 
 

@@ -50,6 +50,7 @@ def show_reproduced(result: ReproduceResult, out: Path) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from flightstack.cli import terminal
     from flightstack.cli.terminal import output, show
     from flightstack_paper.page import shown
 
@@ -66,4 +67,4 @@ def show_reproduced(result: ReproduceResult, out: Path) -> None:
         if not row.holds:
             output.print(f" {row.id}: {row.note}", markup=False)
     for name in ("results.json", "report.html"):
-        output.print(f" {name:<14}{out / name}", soft_wrap=True, markup=False)
+        terminal.say(f" {name:<14}{out / name}")
