@@ -105,7 +105,6 @@ class _Batch:
         self.params = np.repeat(np.stack(rows), len(at), axis=0)
         self.params[:, P_RESISTANCE] = 0.0  # the voltage is the log's
         self.state = np.zeros((len(self.params), S_RING + 4 * entries))
-        runs: dict[tuple[float, ...], F64] = {}
         shifted = {0.0: flight}
         driven: dict[tuple[int, int], int] = {}
         self._driven: list[int] = []
@@ -116,7 +115,7 @@ class _Batch:
                 shifted[late_s] = with_added_delay(flight, late_s)
             moved = shifted[late_s]
             own = self.state[i * len(at) : (i + 1) * len(at)]
-            run = ModelEvaluation(p, moved, runs)
+            run = ModelEvaluation(p, moved)
             own[:, :S_RING] = run.states(at)
             own[:, S_Q : S_Q + 4] = true_attitude(p, flight)[at]
             own[:, S_RATE : S_RATE + 3] = (flight.rate_frd_radps - gyro_bias.bias(p))[at]

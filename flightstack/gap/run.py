@@ -5,7 +5,7 @@ Many parameter rows are evaluated at the same states in one compiled call (`gap.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -51,9 +51,12 @@ from flightstack_sim.plant import evaluate_rows, state_rows
 
 _MOST_ROWS_MADE = 256
 _ROWS_MADE: dict[tuple[int, float], tuple[Vehicle, F64]] = {}
-_MOST_FELT = 2
-_FELT: dict[tuple[int, bytes], tuple[ProcessedFlight, F64]] = {}
-"""Of the last few vehicles: many ropes are tried on each."""
+_MOST_KEPT = 4
+_Kept = dict[tuple[int, bytes], tuple[object, F64]]
+_TURNED: _Kept = {}
+_SWUNG: _Kept = {}
+_FELT: _Kept = {}
+"""Of the last few vehicles: many loads and ropes are tried on each, and columns are taken where a fit already was."""
 _ADRIFT_S = 1.0
 """A log that holds flight this soon began in the air."""
 SENSORS = [PLACES[effect, p.name] for effect, spec in EFFECTS.items() if spec.kind == "sensor" for p in spec.params]
@@ -95,15 +98,13 @@ class ModelEvaluation:
 
     __slots__ = ("load", "track", "u", "voltage")
 
-    def __init__(self, p: F64, flight: ProcessedFlight, known: dict[tuple[float, ...], F64] | None = None) -> None:
-        """`p`: `params_row`; `known`: rotors' states run through before, by what they depend on; taken and kept."""
+    def __init__(self, p: F64, flight: ProcessedFlight) -> None:
+        """`p`: `params_row`."""
         self.track = flight
-        known = {} if known is None else known
-        key = (float(id(flight.commands)), p[D_TAU], p[D_DELAY_STEPS])
-        if key not in known:
-            known[key] = _rotors(p, flight)
-        self.u = known[key]
-        self.load = _load(p, flight, self.u)
+        behind = np.array([flight.step_s, p[D_TAU], p[D_DELAY_STEPS]]).tobytes()
+        self.u = _kept(_TURNED, behind, flight.commands, lambda: _rotors(p, flight))
+        swinging = p.tobytes() if p[slung_load.MASS] != 0.0 else b""
+        self.load = _kept(_SWUNG, swinging, flight, lambda: _load(p, flight, self.u))
         self.voltage = flight.samples.battery_v
         if p[P_HAS_BATTERY] != 0.0 and "battery_v" in flight.missing:
             self._drain(p)
@@ -253,17 +254,27 @@ def _felt_of_the_load(p: F64, flight: ProcessedFlight, u: F64, hanging: F64) -> 
     """(N, 3) N, NED: what the accelerometer felt beyond the forces of this vehicle without its load; NaN if unknown."""
     bare = p.copy()
     bare[slung_load.MASS] = bare[slung_load.LENGTH] = 0.0
-    key = (id(flight), bare.tobytes())
-    if key in _FELT:
-        return _FELT[key][1]
+    derive(bare)  # its ground contacts, which don't act here, would tell one load from another
+    return _kept(_FELT, bare.tobytes(), flight, lambda: _felt_beyond(bare, flight, u, hanging))
+
+
+def _felt_beyond(p: F64, flight: ProcessedFlight, u: F64, hanging: F64) -> F64:
+    """`_felt_of_the_load` beyond the vehicle of this row."""
     out = np.empty((len(u), 6, 1))
-    evaluate_at(bare[None], _states(p, flight, hanging), u, np.ascontiguousarray(flight.samples.battery_v), out)
+    evaluate_at(p[None], _states(p, flight, hanging), u, np.ascontiguousarray(flight.samples.battery_v), out)
     force = flight.measured[:, 0:3]
     if "accel_frd_mps2" not in flight.missing:
         force = rotate(attitude_misalignment.rotation(p)[None, :], force - accelerometer_bias.bias(p))
     measurement_change = p[D_MASS] * rotate(true_attitude(p, flight), force - out[:, 0:3, 0])
     measurement_change[~flight.samples.valid] = np.nan
-    if len(_FELT) >= _MOST_FELT:
-        del _FELT[next(iter(_FELT))]
-    _FELT[key] = (flight, np.asarray(measurement_change))  # the flight is kept, so its number is its own
-    return _FELT[key][1]
+    return np.asarray(measurement_change)
+
+
+def _kept(kept: _Kept, depends: bytes, on: object, made: Callable[[], F64]) -> F64:
+    """What was made of this object and these bytes before, of the last few; not to be written to."""
+    key = (id(on), depends)
+    found = kept.pop(key, None) or (on, made())  # the object is kept, so its number is its own
+    while len(kept) >= _MOST_KEPT:
+        del kept[next(iter(kept))]
+    kept[key] = found
+    return found[1]

@@ -201,8 +201,9 @@ def _made(samples: Samples) -> ProcessedFlight:
     )
 
 
+@lru_cache(maxsize=2)
 def thinned(flight: ProcessedFlight, k: int) -> ProcessedFlight:
-    """Every k-th sample of a flight; rotors still run through all its commands."""
+    """Every k-th sample of a flight; rotors still run through all its commands.  Kept for the last two flights."""
     samples = flight.samples
     rows = {name: getattr(samples, name)[::k] for name in _ROWS}
     thin: dict[str, Any] = {name: np.ascontiguousarray(getattr(flight, name)[::k]) for name in _TRACK_ROWS}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from flightstack.effects import EFFECTS
 from flightstack.frames import quat_from_euler, quat_to_matrix
+from flightstack.gap import run
 from flightstack.gap.records import Samples
 from flightstack.gap.run import ModelEvaluation, params_row
 from flightstack.gap.simulate import (
@@ -105,6 +107,18 @@ def test_a_load_at_rest_hangs_with_its_weight() -> None:
     vehicle = hidden(quad(), {"slung_load": {"mass_kg": 0.25, "length_m": 1.5}})
     u = np.sqrt(1.45 * G / (4 * 6.6))
     assert predict(vehicle, still(u=u))[:, 2] == pytest.approx(-G, rel=1e-9)
+
+
+def test_what_is_felt_of_a_load_is_found_once_for_all_loads_and_ropes(
+    monkeypatch: pytest.MonkeyPatch, flown: tuple[Samples, Samples]
+) -> None:
+    """It is the vehicle's without one; the search tries some hundred of either."""
+    samples, beyond = replace(flown[0], name="own"), mock.Mock(wraps=run._felt_beyond)
+    monkeypatch.setattr(run, "_felt_beyond", beyond)
+    loads = [{"mass_kg": m, "length_m": x} for m, x in ((0.2, 1.0), (0.3, 1.0), (0.2, 2.0))]
+    swung = [_run(hidden(quad(), {"slung_load": load}), samples).load for load in loads]
+    assert beyond.call_count == 1
+    assert len({load.tobytes() for load in swung}) == 3
 
 
 def test_the_load_swings_under_the_measured_motion_as_a_driven_pendulum() -> None:
