@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -53,9 +54,13 @@ def is_freed(samples: Samples) -> bool:
 
 def with_bias(vehicle: Vehicle, samples: Samples) -> Samples:
     """The flight with as much of its slow level force taken for the estimator's as this vehicle leaves."""
-    if not is_freed(samples):
-        return samples
-    plain = replace(samples, bias_frd_mps2=None)
+    return _with_bias(vehicle, samples) if is_freed(samples) else samples
+
+
+@lru_cache(maxsize=4)
+def _with_bias(vehicle: Vehicle, samples: Samples) -> Samples:
+    """`with_bias`, kept: whoever asks again gets the same flight, of which more is kept elsewhere."""
+    plain = samples if samples.bias_frd_mps2 is None else replace(samples, bias_frd_mps2=None)
     y = prediction_error(vehicle, plain)[0]
     ok = track(plain).usable
     bias = np.zeros((len(y), 3))
@@ -101,15 +106,26 @@ def bias_std(vehicle: Vehicle, samples: Samples) -> F64:
 
 def columns(vehicle: Vehicle, samples: Samples, every: int) -> F64:
     """(ceil(N / every), 12, 2 M + 1) what the belief may make of every so manieth sample, each of unit size."""
-    t_s = samples.dt_s * np.arange(0, len(samples.t_s), every)
-    x = wander(t_s, float(t_s[-1]))
-    along = np.linalg.eigh(x.T @ x)[1][:, : -_MODES - 1 : -1]
-    out = np.zeros((len(t_s), COLUMNS, 2 * _MODES + 1))
+    shapes = _slowest(len(samples.t_s), every, samples.dt_s)
+    out = np.zeros((len(shapes), COLUMNS, 2 * _MODES + 1))
     size = bias_std(vehicle, samples)
     for axis in LEVEL:
-        out[:, axis, axis * _MODES : (axis + 1) * _MODES] = size[axis] / np.sqrt(2.0) * (x @ along)
+        out[:, axis, axis * _MODES : (axis + 1) * _MODES] = size[axis] / np.sqrt(2.0) * shapes
     out[:, 2, -1] = size[2]
     return out
+
+
+@lru_cache(maxsize=2)
+def _slowest(count: int, every: int, dt_s: float) -> F64:
+    """(ceil(count / every), M) the slowest shapes of what wanders at every so manieth sample."""
+    t_s = np.arange(0, count, every) * dt_s
+    root = _root(float(t_s[-1]))
+    before, share = _place(t_s, float(t_s[-1]), len(root))
+    gram = np.zeros(root.shape)
+    for down, up, weight in ((0, 0, (1.0 - share) ** 2), (1, 1, share**2), (0, 1, share * (1.0 - share))):
+        np.add.at(gram, (before + down, before + up), weight)
+    gram = root.T @ (gram + np.triu(gram, 1).T) @ root
+    return _between(t_s, float(t_s[-1]), root @ np.linalg.eigh(gram)[1][:, : -_MODES - 1 : -1])
 
 
 def lost(flights: Sequence[Samples], effects: Collection[str]) -> set[tuple[str, str]]:
@@ -130,31 +146,48 @@ def slow_error(y: F64, ok: Mask, dt_s: float) -> F64:
     mean = np.bincount(block, weights=np.where(ok, y, 0.0))[full] / count[full]
     noise = max(float(np.median(np.abs(np.diff(mean, n=2)))) / 0.6745 / np.sqrt(6.0), 1e-9)
     span_s = len(y) * dt_s
-    x = wander(size * dt_s * (np.flatnonzero(full) + 0.5), span_s) / noise
-    along, power = _principal(x)
-    shown = along.T @ (x.T @ (mean / noise))
+    x, along, power = _principal(full.tobytes(), size * dt_s, span_s)
+    shown, power = along.T @ (x.T @ mean) / noise**2, power / noise**2
     size_mps2 = likeliest(shown / np.sqrt(power), power)
     coefficients = along @ (shown * size_mps2**2 / (1.0 + power * size_mps2**2))
-    return np.asarray(wander(dt_s * np.arange(len(y)), span_s) @ coefficients)
+    return _between(np.arange(len(y)) * dt_s, span_s, _root(span_s) @ coefficients)
 
 
-def wander(t_s: NDArray[np.floating[Any]], span_s: float) -> F64:
-    """(N, K) columns of unit size whose sum wanders as a filter's belief does, round a mean as large, from 0 on.
+@lru_cache(maxsize=4)
+def _principal(full: bytes, block_s: float, span_s: float) -> tuple[F64, F64, F64]:
+    """What wanders (R, K) at these blocks' middles, directions (K, k) that it shows there, and the power (k,) of each.
 
-    A Gauss-Markov process between knots; the columns are the root of its covariance.
+    The same for every vehicle and mostly for both axes.
     """
-    knots = np.linspace(0.0, span_s, min(_MOST_KNOTS, max(2, round(span_s / _KNOTS_S) + 1)))
-    step = knots[1]
-    covariance = 1.0 + np.exp(-np.abs(knots[:, None] - knots) / SLOW_ERROR_S)
-    hats = np.maximum(0.0, 1.0 - np.abs(t_s[:, None] - knots) / step)
-    return np.asarray(hats @ np.linalg.cholesky(covariance), dtype=np.float64)
-
-
-def _principal(x: F64) -> tuple[F64, F64]:
-    """Directions (K, k) of coefficients that columns (R, K) show, and the power (k,) of each."""
+    x = _between(block_s * (np.flatnonzero(np.frombuffer(full, np.bool_)) + 0.5), span_s, _root(span_s))
     power, along = np.linalg.eigh(x.T @ x)
     told = power > 1e-9 * power[-1]
-    return along[:, told], power[told]
+    return x, along[:, told], power[told]
+
+
+@lru_cache(maxsize=4)
+def _root(span_s: float) -> F64:
+    """(K, K) at knots over the span: columns of unit size whose sum wanders as a filter's belief does.
+
+    Round a mean as large, from 0 on: the root of the covariance of a Gauss-Markov process.
+    """
+    knots = np.linspace(0.0, span_s, min(_MOST_KNOTS, max(2, round(span_s / _KNOTS_S) + 1)))
+    covariance = 1.0 + np.exp(-np.abs(knots[:, None] - knots) / SLOW_ERROR_S)
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+
+
+def _place(t_s: NDArray[np.floating[Any]], span_s: float, knots: int) -> tuple[NDArray[np.int64], F64]:
+    """(N,) the knot before each time within the span, and the share of the way (N,) to the next."""
+    at = t_s * ((knots - 1) / span_s)
+    before = np.clip(at.astype(np.int64), 0, knots - 2)
+    return before, np.asarray(at - before, dtype=np.float64)
+
+
+def _between(t_s: NDArray[np.floating[Any]], span_s: float, values: F64) -> F64:
+    """(N, ...) what stands at the knots (K, ...), along straight lines between them."""
+    before, share = _place(t_s, span_s, len(values))
+    share = share.reshape(-1, *([1] * (values.ndim - 1)))
+    return np.asarray((1.0 - share) * values[before] + share * values[before + 1])
 
 
 def likeliest(shown: F64, power: F64) -> float:
