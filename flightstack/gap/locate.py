@@ -24,6 +24,7 @@ def locate(residuals: Sequence[Residual], flights: Sequence[Samples]) -> tuple[C
     "" where none does better than chance.
     """
     good = [s.valid & np.isfinite(r.y[:, :6]).any(axis=1) for s, r in zip(flights, residuals, strict=True)]
+    flown, driven = [regimes(s) for s in flights], [_driven(s) for s in flights]
     found = []
     for c, signal in enumerate(SIGNALS):
         y = [np.where(g, r.y[:, c], np.nan) for g, r in zip(good, residuals, strict=True)]
@@ -37,8 +38,8 @@ def locate(residuals: Sequence[Residual], flights: Sequence[Samples]) -> tuple[C
                 float(np.sqrt(np.nanmean(values**2))),
                 "m/s^2" if c < 3 else "rad/s^2",
                 noise,
-                _worst_regime(y, flights),
-                _driver(y, flights),
+                _worst_regime(y, flown, flights[0].dt_s),
+                _driver([_blocks(v, s) for v, s in zip(y, flights, strict=True)], driven),
             )
         )
     return tuple(found)
@@ -69,12 +70,12 @@ def regimes(samples: Samples) -> dict[str, Mask]:
     return {name: masks[name] for name in REGIMES}
 
 
-def _worst_regime(y: list[F64], flights: Sequence[Samples]) -> str:
+def _worst_regime(y: list[F64], flown: list[dict[str, Mask]], dt_s: float) -> str:
     worst, most = "", 0.0
     for name in REGIMES:
-        parts = [values[regimes(s)[name] & np.isfinite(values)] for values, s in zip(y, flights, strict=True)]
+        parts = [values[masks[name] & np.isfinite(values)] for values, masks in zip(y, flown, strict=True)]
         joined = np.concatenate(parts)
-        if len(joined) * flights[0].dt_s < _FEWEST:
+        if len(joined) * dt_s < _FEWEST:
             continue
         rms = float(np.sqrt(np.mean(joined**2)))
         if rms > most:
@@ -82,23 +83,26 @@ def _worst_regime(y: list[F64], flights: Sequence[Samples]) -> str:
     return worst
 
 
-def _driver(y: list[F64], flights: Sequence[Samples]) -> str:
-    """The driver with the best adjusted share of the variance of block means, where it beats chance."""
+def _driven(samples: Samples) -> dict[str, F64]:
+    """Driver -> (B, d) its means over a flight's blocks."""
+    return {name: _blocks(x.reshape(len(x), -1), samples) for name, x in quantities(samples).items()}
+
+
+def _blocks(x: F64, samples: Samples) -> F64:
+    """(B, ...) means of x (N, ...) over blocks of time."""
+    size = max(1, round(_BLOCK_S / samples.dt_s))
+    count = len(x) // size
+    return np.asarray(x[: count * size].reshape(count, size, *x.shape[1:]).mean(axis=1))
+
+
+def _driver(y: list[F64], driven: list[dict[str, F64]]) -> str:
+    """The driver with the best adjusted share of the variance of block means (B,), where it beats chance."""
     best, name = 0.0, ""
-    known = [quantities(s) for s in flights]
     for driver in DRIVERS:
-        if not all(driver in q for q in known):
+        if not all(driver in of for of in driven):
             continue
-        rows, values = [], []
-        for signal, q, s in zip(y, known, flights, strict=True):
-            size = max(1, round(_BLOCK_S / s.dt_s))
-            count = len(signal) // size
-            mean = signal[: count * size].reshape(count, size).mean(axis=1)
-            x = q[driver][: count * size].reshape(count, size, -1).mean(axis=1)
-            ok = np.isfinite(mean)
-            rows.append(x[ok])
-            values.append(mean[ok])
-        share = _adjusted_share(np.concatenate(rows), np.concatenate(values))
+        x = np.concatenate([of[driver][np.isfinite(mean)] for mean, of in zip(y, driven, strict=True)])
+        share = _adjusted_share(x, np.concatenate([mean[np.isfinite(mean)] for mean in y]))
         if share > best:
             best, name = share, driver
     return name
