@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,11 +19,20 @@ class Metric:
     x: F64
     inner: F64
     """(T^-1 + X'X)^-1."""
+    _last: list[tuple[F64, F64, F64]] = field(default_factory=list, repr=False)
+
+    def against(self, r: F64) -> tuple[F64, F64]:
+        """Of whitened rows (R,) those to learn from, and X' of them; kept for two sets: a step asks for each twice."""
+        for known, mine, shown in self._last:
+            if known is r:
+                return mine, shown
+        mine = r[self.rows]
+        self._last[:] = [*self._last[-1:], (r, mine, self.x.T @ mine)]
+        return self._last[-1][1:]
 
     def chi2(self, r: F64) -> float:
         """Of whitened rows (R,)."""
-        mine = r[self.rows]
-        shown = self.x.T @ mine
+        mine, shown = self.against(r)
         return float(mine @ mine - shown @ self.inner @ shown)
 
     def columns(self, x: F64) -> Columns:
@@ -50,8 +59,8 @@ class Columns:
 
     def toward(self, r: F64) -> F64:
         """b (k,) against rows (R,)."""
-        data = r[self.metric.rows]
-        return np.asarray(self.x.T @ data - self.cross.T @ (self.metric.inner @ (self.metric.x.T @ data)))
+        data, shown = self.metric.against(r)
+        return np.asarray(self.x.T @ data - self.cross.T @ (self.metric.inner @ shown))
 
 
 def metric_of(point: Linearised) -> Metric:
