@@ -16,7 +16,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -186,28 +186,38 @@ def judged(result: GapResult, flight: Drawn, *, lateral: bool) -> Judged:
     return Judged(("; ".join(words) or "nothing") + tail, right, missed, len(errors), hold, tuple(errors))
 
 
-def is_too_small(case: Case, vehicle: Vehicle, change_kgps: float) -> bool:
-    """Whether a drag's change is less than half of its 95 % interval in this case on every level axis.
+def are_too_small(case: Case, vehicle: Vehicle, missed: Mapping[str, float]) -> bool:
+    """Whether what is missed (effect -> its change) is each less than half of its 95 % interval in this case, a drag's
+    on every level axis.
 
     The interval is that of the flights' own information (`gap.identify`), the truth takes no part in it.
     """
     flights, kept = (usable_flights(logs, vehicle) for logs in (case.logs, case.holdout))
     of = split(flights, kept)
     seen = name(vehicle, of.flights, of.fit, of.holdout).identifiable
-    widths = [CI * row.error for row in seen if (row.effect, row.parameter) in _LEVEL_DRAG]
-    return bool(widths) and abs(change_kgps) < min(widths)
+    half = {
+        effect: [CI * row.error for row in seen if (row.effect, row.parameter) in _TOLD[effect]] for effect in missed
+    }
+    return all(half[effect] and abs(change) < min(half[effect]) for effect, change in missed.items())
 
 
-_LEVEL_DRAG = (("linear_drag", "d_x_kgps"), ("linear_drag", "d_y_kgps"))
+_TOLD = {
+    "linear_drag": (("linear_drag", "d_x_kgps"), ("linear_drag", "d_y_kgps")),
+    "payload": (("payload", "mass_kg"),),
+}
 
 
 def verdict(said: Judged, case: Case, vehicle: Vehicle, *, lateral: bool) -> str:
-    """In a word; a drag that is missed may be more than the log can tell."""
+    """In a word; what is missed may be more than the log can tell."""
     flight = case.flight
     if said.names:
         return "right"
-    change = flight.drag_kgps / (flight.mass_kg if lateral else 1.0) - 1.0
-    small = said.missed == ("linear_drag",) and is_too_small(case, vehicle, change)
+    changes = {
+        "linear_drag": flight.drag_kgps / (flight.mass_kg if lateral else 1.0) - 1.0,
+        "payload": flight.mass_kg - 1.0,
+    }
+    missed = {effect: changes[effect] for effect in said.missed}
+    small = bool(missed) and are_too_small(case, vehicle, missed)
     return "right: within what the log can tell" if small else "WRONG"
 
 

@@ -69,6 +69,17 @@ def offset(samples: Samples, mask: NDArray[np.bool_]) -> F64:
     return np.asarray(track(samples).vel_std_mps * min(1.0, (SLOW_ERROR_S / length_s) ** 0.5))
 
 
+def share_of_motion(samples: Samples, mask: NDArray[np.bool_]) -> F64:
+    """(3,) FRD, the velocity's error over how much it varies in these samples, squared; 0 where nothing says."""
+    flight = track(samples)
+    if not mask.any() or {"vel_ned_mps", "q_ned_frd"} & flight.missing:
+        return np.zeros(3)
+    north, east, down = flight.vel_std_mps**2
+    body = rotate_inverse(flight.q_ned_frd[mask], flight.vel_ned_mps[mask])
+    level = 0.5 * (north + east)
+    return np.asarray(np.array([level, level, down]) / np.maximum(np.var(body, axis=0), 1e-12))
+
+
 def offset_columns(vehicle: Vehicle, samples: Samples) -> F64:
     """(N, 12, 3) how the prediction changes for each m/s by which the velocity over ground is off."""
     flight = track(samples)

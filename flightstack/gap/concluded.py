@@ -219,6 +219,8 @@ def _judged(vehicle: Vehicle, named: Selection, of: FitHoldoutSplit, on_progress
     """
     on_progress(0.6, "refining")
     named = _merged(named)
+    while gone := interval_contains_nominal(named.found):
+        named = _without_last(named, gone, "nothing of it is left once all are estimated together")
     if not named.found:
         moved = of if named.unexplained.significant else _refined(vehicle, named, of)[1]
         return named, moved, held_out_gap(vehicle, named, moved)
@@ -227,8 +229,7 @@ def _judged(vehicle: Vehicle, named: Selection, of: FitHoldoutSplit, on_progress
     while gone := interval_contains_nominal(
         naming.found
     ):  # one by one: of two that are alike each is nothing beside the other
-        left = named.without(gone[-1:], "nothing of it is left once all are refined")
-        named = replace(left, unexplained=named.unexplained) if left.found else left  # nothing is missing for it
+        named = _without_last(named, gone, "nothing of it is left once all are refined")
         naming, moved = _refined(vehicle, named, of)
     gone = fails_holdout(vehicle, naming.found, without_bias(naming, moved), beside=naming.unexplained.significant)
     if gone:
@@ -242,6 +243,12 @@ def _judged(vehicle: Vehicle, named: Selection, of: FitHoldoutSplit, on_progress
     forces = _to_refine(named, gap)
     named, of = _refined(vehicle, named, of, forces) if forces else (named, of)
     return named, of, held_out_gap(vehicle, named, of)
+
+
+def _without_last(named: Selection, gone: Sequence[str], reason: str) -> Selection:
+    """The verdict less the weakest of these; beside others nothing is missing for it."""
+    left = named.without(gone[-1:], reason)
+    return replace(left, unexplained=named.unexplained) if left.found else left
 
 
 def _merged(named: Selection) -> Selection:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.effects import EFFECTS
-from flightstack.gap.airspeed import offset
+from flightstack.gap.airspeed import DRAGS, offset, share_of_motion
 from flightstack.gap.chances import t_limit
 from flightstack.gap.compare import residual
 from flightstack.gap.decisions import BIAS_STD_MPS2, NOT_WORSE, SAMPLED_SHARE, STATE_ERRORS
@@ -49,6 +49,10 @@ _CONVERGED = 0.02
 _TIMING_STEP_S = 0.001
 _BLOCK_S = 4.0
 _WINDS = ("north_mps", "east_mps", "down_mps")
+_AXES = {"k_d_kg_per_rad": (0, 1)} | {
+    f"{name}_{axis}_{unit}": (k,) for name, unit in (("d", "kgps"), ("c", "kg_per_m")) for k, axis in enumerate("xyz")
+}
+"""Of the body, along which each drag's parameter acts."""
 _MEMORY_S = 5.0
 _FOLDED = ((0, 1, 2), (3,), (4,), (5,))
 """Channels of each part of the commands' noise."""
@@ -193,6 +197,9 @@ class _Problem:
         self._low = np.concatenate([limits[:, 0], *[-r for r in reach]])
         self._high = np.concatenate([limits[:, 1], *reach])
         self._offset = np.mean([offset(s, m) for s, m in zip(flights, masks, strict=True)], axis=0)
+        shares = [share_of_motion(s, m & s.valid) for s, m in zip(flights, masks, strict=True)]
+        windows = np.array([len(w.starts) for w in self.windows])
+        self._slope = windows @ np.array(shares) / max(self.count, 1) ** 2
         self._sampling_s = max((s.dt_s for s in flights), default=0.0)
 
     def vehicle_at(self, theta: F64) -> Vehicle:
@@ -229,6 +236,9 @@ class _Problem:
                 covariance[k, k] += SAMPLED_SHARE**2
             elif effect == "slung_load" and parameter == "length_m":
                 covariance[k, k] += (SAMPLED_SHARE * theta[k]) ** 2
+            elif effect in DRAGS:
+                # each window starts with an error of the velocity of its own
+                covariance[k, k] += self._slope[list(_AXES[parameter])].mean() * theta[k] ** 2
             elif effect == "steady_wind":
                 covariance[k, k] += self._offset[_WINDS.index(parameter)] ** 2
         return theta, covariance

@@ -14,7 +14,7 @@ from benchmarks.gap_flights import X_SIZE, Senses
 from benchmarks.gap_flights import fly as fly_blind
 from benchmarks.gap_pilot import Plan
 from flightstack.cli.files import load_vehicle
-from flightstack.gap.airspeed import doubt, lost, moves
+from flightstack.gap.airspeed import doubt, lost, moves, share_of_motion
 from flightstack.gap.records import Samples
 from flightstack.gap.track import track
 from flightstack.gap.workflow import analyse
@@ -52,6 +52,15 @@ def test_only_where_nothing_moves_the_velocity_is_all_error(flown: Samples) -> N
     assert float(np.std(body[:, 1])) < 3.0 * float(track(flown).vel_std_mps[1])
     change = doubt(hidden(quad(), DRAG), flown)
     assert np.sqrt(np.mean(change[:, 1, 1] ** 2)) > 5.0 * np.sqrt(np.mean(change[:, 0, 0] ** 2))
+
+
+def test_the_share_of_an_error_is_that_of_the_motion_s_power(flown: Samples) -> None:
+    """A sine of 4 m in 8 s along north, a little less: 3.14 m/s at most, half of its square in the mean."""
+    share = share_of_motion(flown, flown.valid)
+    north, east, _ = track(flown).vel_std_mps
+    assert share[0] == pytest.approx(0.5 * (north**2 + east**2) / (0.5 * np.pi**2), rel=0.15)
+    assert share[1] > 100.0 * share[0]
+    assert not share_of_motion(flown, np.zeros(len(flown.t_s), np.bool_)).any()
 
 
 def test_a_free_simulation_that_errs_by_more_than_it_moves_tells_no_drag(flown: Samples) -> None:

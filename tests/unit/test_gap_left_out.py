@@ -120,6 +120,21 @@ def test_what_the_ground_carries_is_left_out_where_the_height_is_wrong(
     assert exclude_ground_contact(flown, quad()) == (flown, [])
 
 
+def test_from_its_impact_on_a_landing_is_left_out(flown: Samples) -> None:
+    """A PX4 met the ground 0.7 s before it said so, its motors still at three quarters: twice its weight for 15 ms."""
+    at_s = flown.t_s[-1] - 0.7
+    hit = (flown.t_s >= at_s) & (flown.t_s < at_s + 0.015)
+    accel = flown.accel_frd_mps2 + 0.5 * np.random.default_rng(2).standard_normal(flown.accel_frd_mps2.shape)
+    noisy = replace(flown, accel_frd_mps2=accel)
+    assert exclude_ground_contact(noisy, quad()) == (noisy, [])
+    accel = np.where(hit[:, None], accel - np.array([0.0, 0.0, 2.0 * 9.80665]), accel)
+    kept, findings = exclude_ground_contact(replace(flown, accel_frd_mps2=accel), quad())
+    gone = flown.t_s[~kept.valid]
+    assert gone.min() == pytest.approx(at_s - AROUND_S, abs=2.0 * flown.dt_s)
+    assert gone.max() == flown.t_s[-1]
+    assert [finding.name for finding in findings] == ["ground"]
+
+
 def test_an_attitude_out_of_the_acceleration_tells_no_side_force_and_no_lag(flown: Samples) -> None:
     """It is the one at which there is no side force: linear drag F = -d v would be its own null."""
     made = replace(flown, derived=("q_ned_frd",))

@@ -19,11 +19,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap.checks.flying import rotor_thrust
-from flightstack.gap.decisions import AROUND_S, CLEAR_SHARE, HALF, LAGS, LEAST_THRUST, STOPPED, TOUCHING_M
+from flightstack.gap.decisions import (
+    AROUND_S,
+    CLEAR_SHARE,
+    HALF,
+    LAGS,
+    LEAST_THRUST,
+    SPIKE_SPREADS,
+    STOPPED,
+    TOUCHING_M,
+)
 from flightstack.gap.records import Finding, Samples, Signal
+from flightstack.types import F64
 from flightstack.vehicle import Vehicle
 
 _STANDING_S = 0.5
+_MAD = 0.6745
 
 
 def standing_m(signals: Mapping[str, Signal], vehicle: Vehicle, span: tuple[float, float], ground_d_m: float) -> float:
@@ -67,9 +78,9 @@ def exclude_ground_contact(samples: Samples, vehicle: Vehicle, stands_m: float =
 
 
 def _carried(samples: Samples, vehicle: Vehicle) -> NDArray[np.bool_]:
-    """(N,) at the end of the flight, as long as more is felt for the thrust than before: by a third.
+    """(N,) the end of the flight, from an impact on or where more is felt for the thrust than before: by a third.
 
-    Means over half a second tell it, which motors at 10 Hz have, too.
+    Means over half a second tell the latter, which motors at 10 Hz have, too.
     """
     out = np.zeros(len(samples.t_s), np.bool_)
     thrust, felt = rotor_thrust(vehicle, samples.motor).sum(axis=1), -samples.accel_frd_mps2[:, 2]
@@ -77,12 +88,24 @@ def _carried(samples: Samples, vehicle: Vehicle) -> NDArray[np.bool_]:
     window = round(_STANDING_S / samples.dt_s)
     if len(rows) < 4 * window or "accel_frd_mps2" in samples.derived:
         return out
+    out[rows[_impact(thrust[rows], felt[rows], 4 * window) :]] = True
     thrust, felt = (np.convolve(each[rows], np.ones(window) / window, mode="same") for each in (thrust, felt))
     more = CLEAR_SHARE * felt > np.median(felt / np.maximum(thrust, 1e-6)) * thrust
     free = np.flatnonzero(~more[: len(rows) - window // 2])  # beyond, the mean is not whole
     if len(free) and len(rows) - free[-1] > window:
         out[rows[free[-1] + 1] :] = True
     return out
+
+
+def _impact(thrust: F64, felt: F64, last: int) -> int:
+    """Index of the first of the last samples at which far more is felt than a flight's noise; their number without.
+
+    Feet that meet the ground: an autopilot says so half a second later, whatever height it believes.
+    """
+    off = felt - np.median(felt / np.maximum(thrust, 1e-6)) * thrust
+    spread = float(np.median(np.abs(off - np.median(off)))) / _MAD
+    hits = np.flatnonzero(off[-last:] - np.median(off) > SPIKE_SPREADS * spread)
+    return len(off) - min(last, len(off)) + int(hits[0]) if len(hits) and spread > 0.0 else len(off)
 
 
 def exclude_stopped_rotors(samples: Samples, vehicle: Vehicle) -> tuple[Samples, list[Finding]]:
