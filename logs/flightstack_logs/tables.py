@@ -124,12 +124,12 @@ class Log:
 
     @classmethod
     def of_tables(
-        cls, path: Path, kind: str, source: str, tables: dict[str, Table], notes: list[str], size_bytes: int,
-        *, complete: bool = True, schema: str = "", metadata: dict[str, dict[str, str]] | None = None,
+        cls, path: Path, kind: str, about: About, tables: dict[str, Table], notes: list[str], size_bytes: int,
+        *, complete: bool = True, metadata: dict[str, dict[str, str]] | None = None,
     ) -> Log:  # fmt: skip
-        """A log of other origin, tables alone; `schema`: where it is not named as the kind of file."""
-        about = {name: About("table", schema or kind, "", source, 0.0) for name in tables}
-        return cls(path, kind, complete, tuple(notes), tables, {}, about, metadata or {}, (), size_bytes)
+        """A log of other origin: tables alone, of each of which the same is to be said."""
+        said = dict.fromkeys(tables, about)
+        return cls(path, kind, complete, tuple(notes), tables, {}, said, metadata or {}, (), size_bytes)
 
     @property
     def span_us(self) -> tuple[int, int]:

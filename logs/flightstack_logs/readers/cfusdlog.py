@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from flightstack.types import InputError
-from flightstack_logs.tables import Log, Table, plain
+from flightstack_logs.tables import About, Log, Table, plain
 
+_ABOUT = About("table", "cfusdlog", "", "Crazyflie uSD log", 0.0)
 MAGIC = b"\xbc"
 _TIMES = {1: ("<u4", 1000), 2: ("<u8", 1)}
 """Version -> (type of the time, its unit in us)."""
@@ -57,7 +58,7 @@ def read_cfusdlog(path: Path, data: bytes) -> Log:
     if not tables:
         raise InputError(f"log {path}: is a Crazyflie log without a single record; nothing was recorded")
     complete = whole and not notes
-    return Log.of_tables(path, "cfusdlog", "Crazyflie uSD log", tables, notes, len(data), complete=complete)
+    return Log.of_tables(path, "cfusdlog", _ABOUT, tables, notes, len(data), complete=complete)
 
 
 def _header(data: bytes) -> tuple[int, dict[int, _Event], int]:

@@ -15,8 +15,9 @@ import numpy as np
 
 from flightstack.types import F64, InputError
 from flightstack_logs.columns import SCHEMA, ColumnMap, apply, parse_columns
-from flightstack_logs.tables import Log, Table
+from flightstack_logs.tables import About, Log, Table
 
+_ABOUT = About("table", "csv", "", "", 0.0)
 TABLE = "flight"
 HEADER = (
     *("time_s", "pos_n_m", "pos_e_m", "pos_d_m", "vel_n_mps", "vel_e_mps", "vel_d_mps", "q_w", "q_x", "q_y", "q_z"),
@@ -128,7 +129,7 @@ def read_csv(path: Path, data: bytes, columns: ColumnMap | None) -> Log:
     metadata = {"columns": sources}
     if places:
         metadata["places"] = {name: ", ".join(said) for name, said in places.items()}
-    return Log.of_tables(path, "csv", "", {TABLE: table}, notes + more, len(data), metadata=metadata)
+    return Log.of_tables(path, "csv", _ABOUT, {TABLE: table}, notes + more, len(data), metadata=metadata)
 
 
 def _by_our_names(raw: dict[str, F64]) -> tuple[dict[str, F64], list[str]]:

@@ -20,8 +20,9 @@ import numpy as np
 
 from flightstack.types import I64, InputError
 from flightstack_logs import ardupilot
-from flightstack_logs.tables import Log, Table, plain
+from flightstack_logs.tables import About, Log, Table, plain
 
+_ABOUT = About("table", "dataflash", "", "ArduPilot", 0.0)
 MAGIC = b"\xa3\x95\x80\x80"
 """A3 95 and the FMT message that describes FMT itself."""
 _HEAD, _FMT, _FMT_BYTES = b"\xa3\x95", 128, 89
@@ -52,7 +53,7 @@ def read_dataflash(path: Path, data: bytes) -> Log:
     said = ardupilot.parameters(tables)
     if said:
         metadata["parameters"] = {name: repr(value) for name, value in said.items()}
-    return Log.of_tables(path, "dataflash", "ArduPilot", tables, notes, len(data), complete=not lost, metadata=metadata)
+    return Log.of_tables(path, "dataflash", _ABOUT, tables, notes, len(data), complete=not lost, metadata=metadata)
 
 
 def _walk(data: bytes) -> tuple[dict[int, _Kind], int]:

@@ -19,8 +19,9 @@ import numpy as np
 from fastcrc.crc16 import mcrf4xx
 
 from flightstack.types import InputError
-from flightstack_logs.tables import Log, Table, plain
+from flightstack_logs.tables import About, Log, Table, plain
 
+_ABOUT = About("table", "mavlink", "", "MAVLink", 0.0)
 _STAMP = 8
 _V1, _V2 = 0xFE, 0xFD
 _EARLIEST_US, _LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000
@@ -77,9 +78,7 @@ def read_tlog(path: Path, data: bytes) -> Log:
         "vehicle": {"system": str(vehicle[0]), "component": str(vehicle[1])},
         **_parameters(tables),
     }
-    return Log.of_tables(
-        path, "tlog", "MAVLink", tables, notes, len(data), complete=not lost, schema="mavlink", metadata=metadata
-    )
+    return Log.of_tables(path, "tlog", _ABOUT, tables, notes, len(data), complete=not lost, metadata=metadata)
 
 
 def _walk(data: bytes) -> tuple[dict[Sender, _Heard], int, int]:

@@ -19,8 +19,9 @@ import numpy as np
 from flightstack.types import InputError
 from flightstack_logs.readers.ulog_clock import Stamped, on_one_clock
 from flightstack_logs.readers.ulog_frames import Frames, mended
-from flightstack_logs.tables import Log, Table, plain
+from flightstack_logs.tables import About, Log, Table, plain
 
+_ABOUT = About("table", "ulog", "", "PX4", 0.0)
 MAGIC = b"ULog\x01\x12\x35"
 SAID = "logged_messages"
 """The table of what PX4 printed: severity as in MAVLink, text."""
@@ -53,7 +54,7 @@ def read_ulog(path: Path, data: bytes) -> Log:
         "parameters": {name: repr(value) for name, value in log.initial_parameters.items()},
         "info": {name: str(value) for name, value in log.msg_info_dict.items() if isinstance(value, str | int)},
     }
-    return Log.of_tables(path, "ulog", "PX4", tables, notes, len(data), complete=complete, metadata=metadata)
+    return Log.of_tables(path, "ulog", _ABOUT, tables, notes, len(data), complete=complete, metadata=metadata)
 
 
 def _line(error: Exception) -> str:
