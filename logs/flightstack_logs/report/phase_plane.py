@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flightstack.barrier.shapes import Barrier, value
+from flightstack import targets
+from flightstack.barrier.shapes import Barrier
 from flightstack.types import F64
 from flightstack_logs.report.plot import Plot, inner_size
 
 _SIZE = 420.0, 320.0
 _ANGLES = 180
-_HALVINGS = 40
 _MAP = ("east, m", "north, m")
 
 
@@ -50,23 +50,9 @@ def ellipse(centre_m: float, semi_m: float, semi_mps: float) -> F64:
 
 
 def boundary(barrier: Barrier, centre_m: float = 0.0) -> F64:
-    """(n, 2) the boundary h = 0, found by halving along rays from inside: the region is convex."""
-    low, high, slowest, fastest = barrier.box
-    e_mid, half_e = 0.5 * (low + high), 0.5 * (high - low)
-    half_v = 0.5 * (fastest - slowest)
-    v_mid = max((0.0, 0.5 * (slowest + fastest)), key=lambda v: value(barrier, e_mid, v))
-    points = []
-    for angle in np.linspace(0.0, 2.0 * math.pi, _ANGLES, endpoint=False).tolist():
-        along_e, along_v = half_e * math.cos(angle), half_v * math.sin(angle)
-        inside, outside = 0.0, 4.0
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (inside + outside)
-            if value(barrier, e_mid + middle * along_e, v_mid + middle * along_v) >= 0.0:
-                inside = middle
-            else:
-                outside = middle
-        points.append((centre_m + e_mid + inside * along_e, v_mid + inside * along_v))
-    return np.array(points)
+    """(n, 2) the boundary h = 0."""
+    points: F64 = np.array(targets.boundary(barrier, _ANGLES)) + np.array([centre_m, 0.0])
+    return points
 
 
 def plane_svg(plane: Plane) -> str:
