@@ -219,7 +219,8 @@ def _judged(vehicle: Vehicle, named: Selection, of: FitHoldoutSplit, on_progress
     """
     on_progress(0.6, "refining")
     named = _merged(named)
-    while gone := interval_contains_nominal(named.found):
+    # of several parameters none may surely be off, and yet all together
+    while gone := interval_contains_nominal([f for f in named.found if len(f.parameters) == 1]):
         named = _without_last(named, gone, "nothing of it is left once all are estimated together")
     if not named.found:
         moved = of if named.unexplained.significant else _refined(vehicle, named, of)[1]
