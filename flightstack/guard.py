@@ -35,6 +35,8 @@ _BRAKE_GAIN_PS = 1.0
 _BRAKE_MAX_MPS2 = 3.0
 _SINK_MPS = 0.5
 _SINK_GAIN_PS = 3.0
+_FASTEST_MPS = 1e6
+"""Of what is believed: the greatest float times a gain is infinite, and that times no thrust at all is no number."""
 _LEVEL_SINK_SHARE = 0.97
 _CARRIED_TIME_CONSTANT_US = 1_000_000
 
@@ -170,7 +172,8 @@ def _judge(
         code = _COMMAND
     if code != _PASS:
         cosine = _lean(q, vel, bounds, out)
-        wanted = carried + bounds[_MASS] * _SINK_GAIN_PS * (vel[2] - _SINK_MPS)
+        sink = min(max(vel[2], -_FASTEST_MPS), _FASTEST_MPS)
+        wanted = carried + bounds[_MASS] * _SINK_GAIN_PS * (sink - _SINK_MPS)
         wanted *= _upright(cosine) / max(cosine, 0.5)
         return code, min(max(wanted, bounds[_THRUST_LEAST]), bounds[_THRUST_MOST])
     clipped = min(max(thrust, bounds[_THRUST_LEAST]), bounds[_THRUST_MOST])

@@ -260,7 +260,7 @@ site = Path(sys.argv[4]) if sys.argv[4:] else None
 options = flight.FlyOptions(scenario=sys.argv[1], duration_s=float(sys.argv[3]), out=Path(sys.argv[2]), site=site)
 assert flight.fly(options, stop_requested=lambda: "").flight_time_s > options.duration_s
 assert before
-changed = [name[0] for name, count in known().items() if count != before.get(name)]
+changed = [name[0] for name, count in known().items() if count != before.get(name, 0)]
 print([name for name in changed if name.startswith(("flightstack", "mavlink_bridge"))])
 """
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from shipped import load_vehicle
 
 from flightstack.frames import quat_from_euler, quat_to_matrix
-from flightstack.guard import Guard, carried_thrust, stale
+from flightstack.guard import OUTSIDE, Guard, carried_thrust, stale
 from flightstack.model import Limits, Model
 from flightstack.types import Command, Measurement, changed
 
@@ -34,6 +34,17 @@ HOVER = Command(1000, MODEL.weight_n, MODEL.hover_norm, np.array([0.1, -0.2, 0.3
 def check(command: Command = HOVER, carried_n: float = MODEL.weight_n, **changes: object) -> tuple[Command, str]:
     measurement = changed(GOOD, **changes)  # type: ignore[arg-type]
     return GUARD.check(command, measurement, ORIGIN, carried_n, 1000)
+
+
+@pytest.mark.parametrize("down_mps", [5e307, -5e307])
+@pytest.mark.parametrize("pitch_rad", [0.0, 1.0, 2.0, math.pi])
+def test_a_velocity_near_the_greatest_float_gives_no_thrust_that_is_no_number(
+    down_mps: float, pitch_rad: float
+) -> None:
+    out, name = check(vel_ned_mps=np.array([0.0, 0.0, down_mps]), q_ned_frd=quat_from_euler(0.0, pitch_rad, 0.0),
+                      pos_ned_m=np.array([20.0, 0.0, -2.0]))  # fmt: skip
+    assert name == OUTSIDE
+    assert LOW <= out.thrust_n <= HIGH
 
 
 def test_a_good_command_passes_untouched() -> None:
