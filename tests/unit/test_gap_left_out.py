@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from flightstack.gap import voltage
 from flightstack.gap.checks.exclusions import exclude_ground_contact, exclude_stopped_rotors, standing_m
+from flightstack.gap.checks.flying import rotor_thrust
 from flightstack.gap.decisions import AROUND_S
 from flightstack.gap.name import name
 from flightstack.gap.naming.candidates import at_end, plausible
@@ -133,6 +135,18 @@ def test_from_its_impact_on_a_landing_is_left_out(flown: Samples) -> None:
     assert gone.min() == pytest.approx(at_s - AROUND_S, abs=2.0 * flown.dt_s)
     assert gone.max() == flown.t_s[-1]
     assert [finding.name for finding in findings] == ["ground"]
+
+
+def test_a_throttle_that_is_cut_where_a_log_ends_is_no_landing(flown: Samples) -> None:
+    """A climb at twice the thrust is cut to a third a second before the end; rotors follow with 50 ms."""
+    left_s = flown.t_s[-1] - flown.t_s
+    asked = np.where(left_s < 1.0, 0.6, np.where(left_s < 1.4, 1.4, 1.0))[:, None] * flown.motor
+    share = rotor_thrust(quad(), asked).sum(axis=1) / rotor_thrust(quad(), flown.motor).sum(axis=1)
+    keep = np.exp(-flown.dt_s / 0.05)
+    followed = lfilter([1.0 - keep], [1.0, -keep], share, zi=[keep])[0]
+    accel = flown.accel_frd_mps2 * np.stack([np.ones_like(share), np.ones_like(share), followed], axis=1)
+    cut_off = replace(flown, motor=asked, accel_frd_mps2=accel)
+    assert exclude_ground_contact(cut_off, quad()) == (cut_off, [])
 
 
 def test_an_attitude_out_of_the_acceleration_tells_no_side_force_and_no_lag(flown: Samples) -> None:

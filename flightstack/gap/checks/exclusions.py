@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from flightstack.gap.checks.flying import rotor_thrust
 from flightstack.gap.decisions import (
@@ -30,7 +31,7 @@ from flightstack.gap.decisions import (
     TOUCHING_M,
 )
 from flightstack.gap.records import Finding, Samples, Signal
-from flightstack.types import F64
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
 
 _STANDING_S = 0.5
@@ -88,7 +89,7 @@ def _carried(samples: Samples, vehicle: Vehicle) -> NDArray[np.bool_]:
     window = round(_STANDING_S / samples.dt_s)
     if len(rows) < 4 * window or "accel_frd_mps2" in samples.derived:
         return out
-    out[rows[_impact(thrust[rows], felt[rows], 4 * window) :]] = True
+    out[rows[_impact(thrust[rows], felt[rows], 4 * window, round(AROUND_S / samples.dt_s)) :]] = True
     thrust, felt = (np.convolve(each[rows], np.ones(window) / window, mode="same") for each in (thrust, felt))
     more = CLEAR_SHARE * felt > np.median(felt / np.maximum(thrust, 1e-6)) * thrust
     free = np.flatnonzero(~more[: len(rows) - window // 2])  # beyond, the mean is not whole
@@ -97,15 +98,18 @@ def _carried(samples: Samples, vehicle: Vehicle) -> NDArray[np.bool_]:
     return out
 
 
-def _impact(thrust: F64, felt: F64, last: int) -> int:
-    """Index of the first of the last samples at which far more is felt than a flight's noise; their number without.
+def _impact(thrust: F64, felt: F64, last: int, reach: int) -> int:
+    """Index of the first of the last samples at which feet meet the ground; their number without such a sample.
 
-    Feet that meet the ground: an autopilot says so half a second later, whatever height it believes.
+    An autopilot says so half a second later, whatever height it believes.  More is felt then than the rotors gave at
+    any of the samples that they may still follow (`reach`), by half a weight and by far more than noise.
     """
-    off = felt - np.median(felt / np.maximum(thrust, 1e-6)) * thrust
+    ratio = float(np.median(felt / np.maximum(thrust, 1e-6)))
+    off = felt - ratio * thrust
     spread = float(np.median(np.abs(off - np.median(off)))) / _MAD
-    hits = np.flatnonzero(off[-last:] - np.median(off) > SPIKE_SPREADS * spread)
-    return len(off) - min(last, len(off)) + int(hits[0]) if len(hits) and spread > 0.0 else len(off)
+    most = ratio * maximum_filter1d(thrust, 2 * reach + 1)
+    hits = np.flatnonzero((felt - most)[-last:] > max(SPIKE_SPREADS * spread, HALF * STANDARD_GRAVITY_MPS2))
+    return len(off) - min(last, len(off)) + int(hits[0]) if len(hits) else len(off)
 
 
 def exclude_stopped_rotors(samples: Samples, vehicle: Vehicle) -> tuple[Samples, list[Finding]]:
