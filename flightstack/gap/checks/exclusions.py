@@ -17,7 +17,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from flightstack.gap.checks.flying import rotor_thrust
 from flightstack.gap.decisions import (
@@ -107,7 +106,8 @@ def _impact(thrust: F64, felt: F64, last: int, reach: int) -> int:
     ratio = float(np.median(felt / np.maximum(thrust, 1e-6)))
     off = felt - ratio * thrust
     spread = float(np.median(np.abs(off - np.median(off)))) / _MAD
-    most = ratio * maximum_filter1d(thrust, 2 * reach + 1)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(thrust, reach, mode="edge"), 2 * reach + 1)
+    most = ratio * around.max(axis=1)
     hits = np.flatnonzero((felt - most)[-last:] > max(SPIKE_SPREADS * spread, HALF * STANDARD_GRAVITY_MPS2))
     return len(off) - min(last, len(off)) + int(hits[0]) if len(hits) else len(off)
 
