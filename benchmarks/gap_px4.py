@@ -160,12 +160,10 @@ class Judged:
     """and each one's share of error."""
 
 
-def judged(result: GapResult, flight: Drawn, *, lateral: bool) -> Judged:
-    """Hold an answer against the truth; a log without fast motors (`lateral`) tells the drag by mass alone."""
-    load, drag = flight.mass_kg - 1.0, flight.drag_kgps / (flight.mass_kg if lateral else 1.0)
-    hidden = {
-        effect for effect, is_hidden in (("payload", load and not lateral), ("linear_drag", drag != 1.0)) if is_hidden
-    }
+def judged(result: GapResult, flight: Drawn) -> Judged:
+    """Hold an answer against the truth."""
+    load, drag = flight.mass_kg - 1.0, flight.drag_kgps
+    hidden = {effect for effect, is_hidden in (("payload", load), ("linear_drag", drag != 1.0)) if is_hidden}
     truth = {f"d_{axis}_kgps": drag for axis in "xyz"} | {"mass_kg": load, "scale": 1.0 / flight.mass_kg}
     errors, hold, words, false = [], 0, [], False
     classes: set[str] = set()
@@ -207,15 +205,12 @@ _TOLD = {
 }
 
 
-def verdict(said: Judged, case: Case, vehicle: Vehicle, *, lateral: bool) -> str:
+def verdict(said: Judged, case: Case, vehicle: Vehicle) -> str:
     """In a word; what is missed may be more than the log can tell."""
     flight = case.flight
     if said.names:
         return "right"
-    changes = {
-        "linear_drag": flight.drag_kgps / (flight.mass_kg if lateral else 1.0) - 1.0,
-        "payload": flight.mass_kg - 1.0,
-    }
+    changes = {"linear_drag": flight.drag_kgps - 1.0, "payload": flight.mass_kg - 1.0}
     missed = {effect: changes[effect] for effect in said.missed}
     small = bool(missed) and are_too_small(case, vehicle, missed)
     return "right: within what the log can tell" if small else "WRONG"
@@ -275,10 +270,9 @@ def main() -> int:
             except InputError as error:
                 print(f"{case.words}: error: {error}", flush=True)
                 continue
-            lateral = case.flight.profile == USUAL and case.logs[0].suffix == ".ulg"
-            said = judged(result, case.flight, lateral=lateral)
+            said = judged(result, case.flight)
             truth = f"{case.flight.mass_kg - 1:.3f} kg, {case.flight.drag_kgps:g}"
-            right = verdict(said, case, vehicle, lateral=lateral)
+            right = verdict(said, case, vehicle)
             errors = " ".join(f"{100 * e:.1f}" for e in said.errors)
             print(
                 f"{case.words} | {truth} | {right} {said.hold}/{said.values} | {errors} | {said.says} | "

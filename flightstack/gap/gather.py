@@ -30,15 +30,15 @@ _COLUMNS = len(SIGNALS)
 
 
 def report(
-    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap, logs: Sequence[Checked], *, side_only: bool
+    vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, gap: Gap, logs: Sequence[Checked], *, only: str
 ) -> GapReport:
-    """Everything the page shows; `logs` in the order of the split's flights; `side_only`: of `words.sentence`."""
+    """Everything the page shows; `logs` in the order of the split's flights; `only`: of `words.sentence`."""
     drawn = _drawn_first(of)
     takes, learner = _companion(vehicle, naming)
     untold = untold_force(of.flights, gap.noise_floor.one_step_mps2)
     told = {"limits": limits(naming.identifiable), "untold": untold}
     return GapReport(
-        sentence=words.sentence(naming.found, gap, naming.unexplained, side_only=side_only, **told),
+        sentence=words.sentence(naming.found, gap, naming.unexplained, only=only, **told),
         vehicle=vehicle.name,
         gap=gap,
         found=naming.found,

@@ -12,15 +12,16 @@ from pathlib import Path
 
 from flightstack.gap import gather, pooled
 from flightstack.gap.check import check
-from flightstack.gap.classes import without_motors
 from flightstack.gap.concluded import OnProgress, Said, concluded, held_out_gap, silent, without_bias
 from flightstack.gap.decisions import CLEAR_SHARE, HALF, MOSTLY
 from flightstack.gap.drifting import with_changing_gyro
 from flightstack.gap.held import far_from_noise
 from flightstack.gap.lift import told_by_lift
 from flightstack.gap.likeness import same_flight
+from flightstack.gap.mean_lift import compared_only, with_mean_lift
 from flightstack.gap.name import DRIFTS, Selection
 from flightstack.gap.one_heading import on_one_heading, with_one_push
+from flightstack.gap.pooled import FitHoldoutSplit
 from flightstack.gap.read import flight
 from flightstack.gap.records import Checked, Samples
 from flightstack.gap.result import GapResult
@@ -53,25 +54,19 @@ def analyse(
     if not any(mask.any() for mask in of.fit) or not any(mask.any() for mask in of.holdout):
         raise InputError(f"log {logs[0]}: is too short to learn from and to judge by; record at least 10 s in the air")
     called = vehicle_name or vehicle.name
-    naming, of, gap = concluded(vehicle, of, called, on_progress)
-    if naming.left_thin and (naming.unexplained.significant or (gap.closed is not None and gap.closed < MOSTLY)):
-        naming, of, gap = _with_what_is_thin(vehicle, (naming, of, gap), called)
-    if naming.unexplained.significant:
-        naming, of, gap = _looked_closely(vehicle, (naming, of, gap), called)
-    if not held and naming.unexplained.significant:
-        naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
-    if not (held or naming.found) and naming.unexplained.significant:
-        for split in (pooled.split_by_power, pooled.split_by_passes):
-            if not naming.found:
-                naming, of, gap = _split_by_what_is_off(vehicle, split(vehicle, flights), (naming, of, gap), called)
+
+    def look(against: Vehicle, progress: OnProgress = silent) -> Said:
+        return _looked(against, flights, held, of, called, progress)
+
+    naming, of, gap = with_mean_lift(vehicle, look(vehicle, on_progress), look)
     for told in (with_one_push, told_by_lift, told_by_trim):
         naming, of, gap = told(vehicle, (naming, of, gap))
     if naming.unexplained.significant or far_from_noise(gap):
         naming = replace(naming, found=on_one_heading(naming.found, of.flights))
     naming = with_changing_gyro(vehicle, naming, flights)
     on_progress(0.9, "drawing")
-    side_only = without_motors(of.flights)
-    report = gather.report(vehicle, naming, without_bias(naming, of), gap, (*checked, *kept), side_only=side_only)
+    only = compared_only(naming, of.flights)
+    report = gather.report(vehicle, naming, without_bias(naming, of), gap, (*checked, *kept), only=only)
     return GapResult(
         tuple(str(path) for path in (*logs, *holdout)),
         called,
@@ -83,6 +78,29 @@ def analyse(
         naming.vehicle,
         report,
     )
+
+
+def _looked(
+    vehicle: Vehicle,
+    flights: Sequence[Samples],
+    held: Sequence[Samples],
+    of: FitHoldoutSplit,
+    called: str,
+    on_progress: OnProgress,
+) -> Said:
+    """What the flights tell against a vehicle, by one split after the other until it closes what is open."""
+    naming, of, gap = concluded(vehicle, of, called, on_progress)
+    if naming.left_thin and (naming.unexplained.significant or (gap.closed is not None and gap.closed < MOSTLY)):
+        naming, of, gap = _with_what_is_thin(vehicle, (naming, of, gap), called)
+    if naming.unexplained.significant:
+        naming, of, gap = _looked_closely(vehicle, (naming, of, gap), called)
+    if not held and naming.unexplained.significant:
+        naming, of, gap = _turned_round(vehicle, flights, (naming, of, gap), called)
+    if not (held or naming.found) and naming.unexplained.significant:
+        for split in (pooled.split_by_power, pooled.split_by_passes):
+            if not naming.found:
+                naming, of, gap = _split_by_what_is_off(vehicle, split(vehicle, flights), (naming, of, gap), called)
+    return naming, of, gap
 
 
 def _with_what_is_thin(vehicle: Vehicle, said: Said, called: str) -> Said:
@@ -146,7 +164,7 @@ def _turned_round(vehicle: Vehicle, flights: Sequence[Samples], said: Said, call
     return said if closed is None or closed < MOSTLY else (naming, of, gap)
 
 
-def _split_by_what_is_off(vehicle: Vehicle, of: pooled.FitHoldoutSplit | None, said: Said, called: str) -> Said:
+def _split_by_what_is_off(vehicle: Vehicle, of: FitHoldoutSplit | None, said: Said, called: str) -> Said:
     """The verdict with the last third of what each flight is off by held out, where that closes most; else `said`.
 
     A flight that hovers for its first two thirds says nothing there of a drag, and in its first third nothing to judge

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from flightstack.gap.result import GapResult
 from flightstack.gap.simulate import FreeParameter, sensitivities
 from flightstack.gap.workflow import analyse, usable_flights
 from flightstack.types import InputError
+from flightstack.vehicle import parse_vehicle, vehicle_to_toml
 from flightstack_logs.readers.csv_file import HEADER
 from tests.gap_flights import Flown, fly, hidden, hover, quad, wander
 
@@ -48,21 +50,72 @@ def slow(flown: Flown) -> np.ndarray:
     return motors
 
 
-def test_slow_motors_leave_the_side_force_and_say_so(flown: Flown, tmp_path: Path) -> None:
+def test_slow_motors_leave_the_side_force_and_the_mean_lift_and_say_so(flown: Flown, tmp_path: Path) -> None:
+    """By the side force alone no load was named, and the drag of the mass that the file has: 0.39 for 0.45."""
     result = found_in(flown, slow(flown), "motor_", tmp_path)
     named = {found.name: found for found in result.found}
-    assert set(named) == {"linear_drag"}
-    assert {"rotor_drag", "parasitic_drag"} <= set(named["linear_drag"].indistinguishable_from)
-    for parameter in ("d_x_kgps", "d_y_kgps"):  # of the mass that the file has: no log without motors shows another
+    assert set(named) == {"linear_drag", "payload"}
+    assert set(named["linear_drag"].indistinguishable_from) == {"rotor_drag", "parasitic_drag"}
+    assert set(named["payload"].indistinguishable_from) == {"thrust_scale", "thrust_curve", "constant_force"}
+    load = named["payload"].parameters["mass_kg"]
+    assert load.low <= PAYLOAD_KG <= load.high
+    assert load.high - load.low < 0.02 * quad().mass_kg
+    for parameter in ("d_x_kgps", "d_y_kgps"):
         told = named["linear_drag"].parameters[parameter]
-        assert told.low <= DRAG[parameter] * quad().mass_kg / (quad().mass_kg + PAYLOAD_KG) <= told.high
+        assert told.low <= DRAG[parameter] <= told.high
+    assert result.corrected.total_mass_kg == pytest.approx(quad().mass_kg + load.estimate)
     assert result.gap.before.one_step_radps2 is None
     assert result.gap.closed is not None
     assert result.gap.closed > 0.9
-    assert "vertical force and torques were not looked at" in result.report.sentence
+    assert "torques were not looked at, of the vertical force only the mean" in result.report.sentence
     drawn, where = result.report.traces[0], {row.signal: row for row in result.report.where}
     for column, signal in enumerate(("specific_force_x", "specific_force_y")):  # one noise on the whole page
         assert drawn.noise[column] == pytest.approx(where[signal].expected_noise, rel=1e-9)
+
+
+def test_a_thrust_that_slow_motors_can_only_tell_from_a_load_by_no_drag_is_in_every_class(tmp_path: Path) -> None:
+    """Rotors of 0.85 on a vehicle whose file has its drag: as a load of 0.18 of the mass with as much more drag."""
+    believed = hidden(quad(), {"linear_drag": DRAG})
+    weak = fly(hidden(believed, {"thrust_scale": {"scale": 0.85}}), believed, wander(), seconds=30.0, seed=6)
+    result = analyse([written(weak, slow(weak), "motor_", tmp_path / "weak.csv")], believed)
+    assert result.found
+    assert all("thrust_scale" in (f.name, *f.indistinguishable_from) for f in result.found)
+    load = next(f for f in result.found if f.name == "payload").parameters["mass_kg"]
+    assert load.low <= quad().mass_kg * (1.0 / 0.85 - 1.0) <= load.high
+
+
+def test_a_weak_rotor_is_a_loads_twin_where_the_mean_commands_tip_as_well(tmp_path: Path) -> None:
+    weak = hidden(quad(), {"rotor_fault": {"rotor": 2, "effectiveness": 0.8}})
+    flight = fly(weak, quad(), wander(), seconds=30.0, seed=8)
+    (load,) = analyse([written(flight, slow(flight), "motor_", tmp_path / "weak.csv")], quad()).found
+    assert load.name == "payload"
+    assert "rotor_fault" in load.indistinguishable_from
+
+
+def test_a_lift_that_is_the_files_leaves_no_load_and_no_twin_and_says_how_much_it_would_have_told(
+    tmp_path: Path,
+) -> None:
+    truth = hidden(quad(), {"linear_drag": DRAG})
+    light = fly(truth, quad(), wander(), seconds=30.0, seed=7)
+    logs = [written(light, slow(light), "motor_", tmp_path / "light.csv")]
+    (drag,) = analyse(logs, quad()).found
+    assert drag.name == "linear_drag"
+    assert "payload" not in drag.indistinguishable_from
+    as_flown = analyse(logs, truth)
+    assert not as_flown.found
+    assert "agree within the noise in side force and mean lift, all that was compared" in as_flown.report.sentence
+    assert "a payload of 0.0" in as_flown.report.sentence
+    assert as_flown.report.sentence.endswith("as motors were logged too slowly.")
+
+
+def test_a_guessed_mass_is_not_told_by_the_mean_lift_that_may_be_a_guessed_thrust(flown: Flown, tmp_path: Path) -> None:
+    text = vehicle_to_toml(quad())
+    ranged = parse_vehicle(
+        re.sub(r"(?m)^mass_kg = (.*)$", r"mass_kg = {value = \1, range = [0.5, 2.0]}", text), "ranged"
+    )
+    result = analyse([written(flown, slow(flown), "motor_", tmp_path / "guessed.csv")], ranged)
+    assert "payload" not in {found.name for found in result.found}
+    assert "vertical force and torques were not looked at" in result.report.sentence
 
 
 def test_without_motors_nothing_upright_is_told_of_a_force_or_a_wind(flown: Flown, tmp_path: Path) -> None:

@@ -62,18 +62,18 @@ def test_held_out_data_that_hardly_hold_an_effect_are_said_to_say_nothing() -> N
     )
 
 
-@pytest.mark.parametrize("side_only", [False, True])
-def test_the_headline_has_names_and_what_was_closed_but_no_numbers_of_an_effect(side_only: bool) -> None:
+@pytest.mark.parametrize("only", ["", words.SIDE_FORCE, words.SIDE_AND_LIFT])
+def test_the_headline_has_names_and_what_was_closed_but_no_numbers_of_an_effect(only: str) -> None:
     four = (
         found("payload", mass_kg=(0.21, 0.2, 0.22)), found("constant_force", north_n=(1.649, 1.6, 1.7)),
         found("rotor_drag", ("linear_drag",), k_d_kg_per_rad=(1e-4, 9e-5, 2e-4)), found("motor_lag"),
     )  # fmt: skip
     left = Unexplained(True, ("height",), 0.06)
-    sentence = words.sentence(four, GAP, left, side_only=side_only)
+    sentence = words.sentence(four, GAP, left, only=only)
     told = words.headline(GapReport(sentence, "quad-x", GAP, four, (), left, ()))
     lag = " and another motor lag; with them 98 % of the gap on data not used before is closed; 6 % of the gap is left"
     assert told.startswith(f"The model lacks a payload, a constant force, rotor drag or linear drag{lag}")
-    assert ("too slowly" in told) is side_only
+    assert ("too slowly" in told) is bool(only)
     assert words.headline(GapReport("Nothing.", "quad-x", GAP, (), (), left, ())) == "Nothing."
 
 
@@ -115,18 +115,18 @@ def test_nothing_is_invented_where_nothing_is_found() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "side_only", "part"),
+    ("before", "only", "part"),
     [
-        (figures(0.0153, None), True, "side force"),  # motors at 10 Hz: 0.8 kg too much stood beside "no gap"
-        (figures(0.0153, None), False, "force"),
-        (figures(None, 0.1), False, "turning"),
-        (figures(0.0153, 0.1), False, ""),
+        (figures(0.0153, None), "side force", "side force"),  # motors at 10 Hz: 0.8 kg too much stood beside "no gap"
+        (figures(0.0153, None), "", "force"),
+        (figures(None, 0.1), "", "turning"),
+        (figures(0.0153, 0.1), "", ""),
     ],
 )
-def test_no_gap_is_said_of_what_was_compared_only(before: Figures, side_only: bool, part: str) -> None:
+def test_no_gap_is_said_of_what_was_compared_only(before: Figures, only: str, part: str) -> None:
     gap = Gap(before, before, before, None)
-    said = words.sentence((), gap, NOTHING, side_only=side_only)
-    state, word = words.verdict((), gap, NOTHING, side_only=side_only)
+    said = words.sentence((), gap, NOTHING, only=only)
+    state, word = words.verdict((), gap, NOTHING, only=only)
     assert said.startswith("Model and measurement agree within the noise")
     assert (f"in {part}, all that was compared" in said) is bool(part)
     assert (state, word) == (("plain", f"no gap in {part}") if part else ("good", "no gap"))

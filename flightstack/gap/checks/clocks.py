@@ -138,8 +138,9 @@ def judge_rates(signals: Mapping[str, Signal], span_s: tuple[float, float], kind
             continue
         rate = 1.0 / period_s(signals[name])
         if rate * SLOWEST_MOTOR_S < 1.0 and name == "motor":
-            text = f"""motor: {rate:.3g} Hz shows their mean only: vertical force and torques are not compared (mass, \
-thrust, inertia, lag and centre of mass can't be told), the side force is. For the rest: {better}"""
+            text = f"""motor: {rate:.3g} Hz shows their mean only: of the vertical force that is all that is compared \
+(mass and thrust are one), of torques nothing (inertia, lag and centre of mass can't be told), the side force as ever. \
+For the rest: {better}"""
             findings.append(warning("rate", text))
         elif rate < LEAST_HZ:
             findings.append(refused("rate", f"{name}: {rate:.3g} Hz is too slow; it takes at least {LEAST_HZ:.0f}, "

@@ -34,10 +34,8 @@ def write_report(report: GapReport, path: Path) -> Path:
 
 def render_report(report: GapReport) -> str:
     """The whole page."""
-    side_only = words.is_side_only(report)
-    state, verdict = words.verdict(
-        report.found, report.gap, report.unexplained, side_only=side_only, untold=report.untold
-    )
+    only = words.compared_only(report)
+    state, verdict = words.verdict(report.found, report.gap, report.unexplained, only=only, untold=report.untold)
     drawn = panels(report.traces)
     data = {"phases": [], "events": [], "panels": [panel.payload() for panel in drawn], "path": None}
     own = resources.files("flightstack.gap.report")

@@ -30,7 +30,7 @@ def effects(report: GapReport) -> str:
             "Nothing was put into the model for it.</p></div>"
         )
     if not parts:
-        part = words.compared(report.gap, side_only=words.is_side_only(report))
+        part = words.compared(report.gap, only=words.compared_only(report))
         where = f" in {part}, all that was compared" if part else ""
         untold = f"; {escape(report.untold)}" if report.untold else ""
         return f'<p class="missing">Nothing: model and measurement agree within the noise{where}{untold}.</p>'

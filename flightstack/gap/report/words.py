@@ -55,7 +55,12 @@ def _width(value: Estimate) -> float:
     return value.high - value.low
 
 
-_SIDE_ONLY = "vertical force and torques were not looked at, as motors were logged too slowly"
+SIDE_FORCE, SIDE_AND_LIFT = "side force", "side force and mean lift"
+"""What is compared of logs whose motors were logged too slowly for more."""
+_UNSEEN = {
+    SIDE_FORCE: "vertical force and torques were not looked at, as motors were logged too slowly",
+    SIDE_AND_LIFT: "torques were not looked at, of the vertical force only the mean, as motors were logged too slowly",
+}
 
 
 def sentence(
@@ -63,11 +68,12 @@ def sentence(
     gap: Gap,
     unexplained: Unexplained,
     *,
-    side_only: bool = False,
+    only: str = "",
     limits: str = "",
     untold: str = "",
 ) -> str:
-    """What was found, how sure, and what would settle the rest; `side_only`: motors told too little for more.
+    """What was found, how sure, and what would settle the rest; `only`: what was compared, where motors told too
+    little for more.
 
     `limits` says what would have been named, for where nothing is; `untold` what no log of this kind can tell.
     """
@@ -79,14 +85,14 @@ def sentence(
     elif gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
         parts = ["The logs can't be compared with the simulation: only the data check was made"]
     else:
-        part = compared(gap, side_only=side_only)
+        part = compared(gap, only=only)
         parts = [
             f"Model and measurement agree within the noise{f' in {part}, all that was compared' * bool(part)}",
             limits,
         ]
     parts.append(untold)
-    if side_only:
-        parts.append(_SIDE_ONLY)
+    if only:
+        parts.append(_UNSEEN[only])
     return "; ".join(part for part in parts if part) + "."
 
 
@@ -97,8 +103,8 @@ def headline(report: GapReport) -> str:
     named = [" or ".join(effect(name) for name in (f.name, *f.indistinguishable_from)) for f in report.found]
     text = named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
     parts = [f"The model lacks {text}", _closed(report.gap, len(named)), *_rest(report.unexplained, report.gap)]
-    if is_side_only(report):
-        parts.append(_SIDE_ONLY)
+    if only := compared_only(report):
+        parts.append(_UNSEEN[only])
     return "; ".join(part for part in parts if part) + "."
 
 
@@ -107,15 +113,15 @@ def is_elsewhere(gap: Gap, unexplained: Unexplained) -> bool:
     return unexplained.significant and gap.closed is None and not unexplained.shown
 
 
-def is_side_only(report: GapReport) -> bool:
-    """Whether these logs' motors told too little for more than the side force."""
-    return report.sentence.endswith(f"{_SIDE_ONLY}.")
+def compared_only(report: GapReport) -> str:
+    """What was compared, where these logs' motors told too little for more; else ""."""
+    return next((only for only, unseen in _UNSEEN.items() if report.sentence.endswith(f"{unseen}.")), "")
 
 
-def compared(gap: Gap, *, side_only: bool = False) -> str:
+def compared(gap: Gap, *, only: str = "") -> str:
     """What was compared, where that is not all: of the rest no log says that there is no gap."""
-    if side_only:
-        return "side force"
+    if only:
+        return only
     if gap.before.one_step_radps2 is None:
         return "force"
     return "turning" if gap.before.one_step_mps2 is None else ""
@@ -215,7 +221,7 @@ def verdict(
     gap: Gap,
     unexplained: Unexplained,
     *,
-    side_only: bool = False,
+    only: str = "",
     untold: str = "",
 ) -> tuple[str, str]:
     """The page's state (good, plain, bad) and word; of `untold` (of `sentence`) nobody knows whether it is a gap."""
@@ -224,7 +230,7 @@ def verdict(
     if not found:
         if gap.before.one_step_mps2 is None and gap.before.one_step_radps2 is None:
             return "plain", "data check only"
-        part = compared(gap, side_only=side_only)
+        part = compared(gap, only=only)
         if untold:
             return "plain", f"no gap{f' in {part}' * bool(part)} but a force untold"
         return ("plain", f"no gap in {part}") if part else ("good", "no gap")
