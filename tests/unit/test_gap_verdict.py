@@ -1,16 +1,19 @@
 """One definition of a gap and of what is left: CONTRACT's `closed`, and that nothing left open goes unsaid."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from flightstack.gap import pooled, workflow
-from flightstack.gap.records import Figures, Gap, Samples, Unexplained
+from flightstack.gap import concluded, pooled, workflow
+from flightstack.gap.name import Selection, name
+from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Samples, Unexplained
 from flightstack.gap.report import words
 from flightstack.gap.verdict import gap_of, unexplained
 from flightstack.vehicle import Vehicle
+from tests.gap_flights import as_samples, fly, quad, wander
 
 NOTHING = Unexplained(False)
 DRIVEN = Unexplained(True, ("airspeed",), 0.4)
@@ -183,3 +186,32 @@ def test_what_the_last_of_the_disagreement_confirms_is_said_where_most_is_closed
     said = (SimpleNamespace(rejected=()), of, None)
     got = workflow._split_by_what_is_off(cast(Vehicle, None), of, cast(Any, said), "")
     assert (got is not said) == adopted
+
+
+def test_a_name_of_one_parameter_whose_own_interval_holds_the_files_value_is_taken_back_before_it_is_refined(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """PX4's flight 53: a lag of 47.8 +- 1.8 ms for 48 was refined, with other names, to 42.7 +- 4.5 and told."""
+    of = pooled.split([as_samples(fly(quad(), quad(), wander(), seconds=20.0, seed=3))], [])
+    naming = name(quad(), of.flights, of.fit, of.holdout)
+    assert not naming.found
+    lag_s = quad().rotors.time_constant_s
+    refined = []
+
+    def pulled_away(_: Vehicle, named: Selection, of: pooled.FitHoldoutSplit) -> Any:
+        refined.extend(each.name for each in named.found)
+        return named, of
+
+    monkeypatch.setattr(concluded, "_refined", pulled_away)
+    for low, high, reaches in ((0.9, 1.05, False), (0.8, 0.95, True)):
+        lag = IdentifiedEffect(
+            "motor_lag", {"time_constant_s": Estimate(lag_s, *shares(lag_s, low, high))}, -50.0, 0.5, 0.0
+        )
+        told, _, _ = concluded._judged(quad(), replace(naming, found=(lag,)), of, lambda *given: None)
+        assert ("motor_lag" in refined) is reaches
+        assert any("estimated together" in each.reason for each in told.rejected) is not reaches
+
+
+def shares(value: float, low: float, high: float) -> tuple[float, float, float]:
+    """Of a value: the middle of a range, and its ends."""
+    return value * (low + high) / 2.0, value * low, value * high
