@@ -52,7 +52,7 @@ def with_mean_lift(vehicle: Vehicle, said: Said, look: Callable[[Vehicle], Said]
     naming, of, _ = said
     known = {"thrust_scale", "payload"} & set(vehicle.effects) or any(f.name == "payload" for f in naming.found)
     known = known or {"rotors.max_thrust_n", "body.mass_kg"} & set(vehicle.ranges)  # what is guessed may be all of it
-    if known or not without_motors(of.flights) or not naming.can_be_fitted:
+    if known or not naming.can_be_fitted or not all("motor" in s.derived for s in of.flights):  # not: whole, or none
         return said
     ratio = _mass_ratio(vehicle, naming.found, of)
     if ratio is None:

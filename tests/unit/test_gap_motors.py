@@ -108,6 +108,13 @@ def test_a_lift_that_is_the_files_leaves_no_load_and_no_twin_and_says_how_much_i
     assert as_flown.report.sentence.endswith("as motors were logged too slowly.")
 
 
+def test_a_log_without_motors_says_nothing_of_a_load(flown: Flown, tmp_path: Path) -> None:
+    log = written(flown, np.full_like(flown.motor, np.nan), "motor_", tmp_path / "none.csv")
+    result = analyse([log], quad(), kinematics_only=True)
+    assert not result.found
+    assert "payload" not in result.report.sentence
+
+
 def test_a_guessed_mass_is_not_told_by_the_mean_lift_that_may_be_a_guessed_thrust(flown: Flown, tmp_path: Path) -> None:
     text = vehicle_to_toml(quad())
     ranged = parse_vehicle(
