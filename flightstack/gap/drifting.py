@@ -71,16 +71,22 @@ def _parted(means: F64, least: float) -> int | None:
     """Where these means (B, 3) are best parted in two, None where no axis surely changes by `least`."""
     best, at = 0.0, None
     for k in range(_FEWEST, len(means) - _FEWEST + 1):
-        before, after = means[:k], means[k:]
-        rest = np.concatenate([before - before.mean(axis=0), after - after.mean(axis=0)])
-        own = np.mean(rest**2, axis=0)
-        lags = range(1, _MEMORY + 1)
-        weight = [2.0 * (1.0 - lag / (_MEMORY + 1)) for lag in lags]
-        past = [np.sum(rest[lag:] * rest[:-lag], axis=0) / len(rest) for lag in lags]
-        long = own + np.asarray(weight) @ np.array(past)
-        moved = after.mean(axis=0) - before.mean(axis=0)
-        error = np.maximum(np.maximum(long, own) * (1.0 / len(before) + 1.0 / len(after)), 1e-300)
+        sides = [means[:k], means[k:]]
+        rest = [side - side.mean(axis=0) for side in sides]
+        alike = _lasting(np.concatenate(rest)) * (1.0 / k + 1.0 / (len(means) - k))
+        own = sum(_lasting(each) / len(each) for each in rest)  # some seconds of one side alone may be off (Welch 1947)
+        moved = sides[1].mean(axis=0) - sides[0].mean(axis=0)
+        error = np.maximum(np.maximum(alike, own), 1e-300)
         evidence = float(np.max(np.where(np.abs(moved) >= least, 0.5 * moved**2 / error, 0.0)))
         if evidence > max(best, CLEAR_EVIDENCE):
             best, at = evidence, k
     return at
+
+
+def _lasting(rest: F64) -> F64:
+    """(3,) of these deviations (B, 3) from their mean, the variance of which the mean's is a Bth."""
+    own = np.mean(rest**2, axis=0)
+    lags = range(1, min(_MEMORY, len(rest) - 1) + 1)
+    weight = np.array([2.0 * (1.0 - lag / (_MEMORY + 1)) for lag in lags])
+    past = np.array([np.sum(rest[lag:] * rest[:-lag], axis=0) / len(rest) for lag in lags])
+    return np.asarray(np.maximum(own, own + weight @ past))
