@@ -14,6 +14,7 @@ from flightstack.gap.compare import residual
 from flightstack.gap.decisions import GAP_FROM, MATTERS_MPS2
 from flightstack.gap.identify import IN_PROPORTION, Identifiable
 from flightstack.gap.locate import regimes
+from flightstack.gap.mean_lift import held_out_share
 from flightstack.gap.name import Selection
 from flightstack.gap.pooled import FitHoldoutSplit, Mask
 from flightstack.gap.records import REGIMES, SIGNALS, Checked, Gap, Samples
@@ -50,7 +51,11 @@ def report(
         shown=_shown(naming.identifiable),
         traces=tuple(_trace(vehicle, naming.vehicle, of, k) for k in drawn),
         logs=tuple(_quality(checked) for checked in logs),
-        checks=(*_whiteness(naming.vehicle, of, drawn[0]), *_flown_again(vehicle, naming, of, drawn[0])),
+        checks=(
+            *_whiteness(naming.vehicle, of, drawn[0]),
+            *_flown_again(vehicle, naming, of, drawn[0]),
+            *(_carried(vehicle, naming.vehicle, of) if only == words.SIDE_AND_LIFT else ()),
+        ),
         takes=takes,
         learner=learner,
         across=tuple(a for a in naming.across if not a.same or a.effect in {f.name for f in naming.found}),
@@ -218,6 +223,11 @@ def _flown_again(vehicle: Vehicle, naming: Selection, of: FitHoldoutSplit, k: in
         ("leans off by", f"{np.degrees(was.lean_rad):.2f}° → {np.degrees(now.lean_rad):.2f}°"),
         ("mean command off by", f"{100.0 * was.collective:.2f} % → {100.0 * now.collective:.2f} %"),
     )
+
+
+def _carried(before: Vehicle, after: Vehicle, of: FitHoldoutSplit) -> tuple[tuple[str, str], ...]:
+    was, now = (100.0 * abs(held_out_share(each, of)) for each in (before, after))
+    return (("mean lift off by", f"{was:.1f} % → {now:.1f} % of the weight, held out"),) if math.isfinite(was) else ()
 
 
 def _companion(vehicle: Vehicle, naming: Selection) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -94,7 +94,7 @@ def _mass_ratio(vehicle: Vehicle, found: Sequence[IdentifiedEffect], of: FitHold
 
     As sure as stretches of the flights agree, and as the drag along the rotors' axis is known.
     """
-    vehicles = [corrected(vehicle, found), _with_upright_drag(corrected(vehicle, found), found)]
+    vehicles = [_with_upright_drag(corrected(vehicle, found), found), corrected(vehicle, found)]
     both = [fit | held for fit, held in zip(of.fit, of.holdout, strict=True)]
     rows = np.concatenate([_blocks(vehicles, s, mask) for s, mask in zip(of.flights, both, strict=True)])
     if len(rows) < _LEAST_ROWS:
@@ -109,8 +109,9 @@ def _mass_ratio(vehicle: Vehicle, found: Sequence[IdentifiedEffect], of: FitHold
 
 
 def _balance(rows: F64) -> tuple[float, float]:
-    """What the lift carries by what it does, of `_blocks`, and how far the drag along the rotors' axis leaves it open.
+    """What the lift carries by what it does, and how far the drag along the rotors' axis leaves it open.
 
+    rows: of `_blocks`, with that drag and without.
     r and b: said + b change = r felt, in the mean and (b, weighed against what it is believed to be) as they change.
     """
     said, change, felt = rows[:, 0], rows[:, 1] - rows[:, 0], rows[:, 2]
@@ -136,14 +137,14 @@ def _with_upright_drag(vehicle: Vehicle, found: Sequence[IdentifiedEffect]) -> V
 
 
 def _blocks(vehicles: Sequence[Vehicle], samples: Samples, mask: Mask) -> F64:
-    """(n, 3) upward force by mass over each half second: with the upright drag, without, and as the motion has it."""
+    """(n, vehicles + 1) upward force by mass over each half second: as commands say it by each, and as it moved."""
     fast = _with_motors(samples)
     flight = track(fast)
-    said = [-rotate(flight.q_ned_frd, predict(v, fast)[:, :3])[:, 2] for v in reversed(vehicles)]
+    said = [-rotate(flight.q_ned_frd, predict(v, fast)[:, :3])[:, 2] for v in vehicles]
     columns = np.stack([*said, -(flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2)[:, 2]], axis=1)
     columns[~(mask & flight.usable)] = np.nan
     every = max(1, round(_BLOCK_S / samples.dt_s))
-    blocks = columns[: len(columns) // every * every].reshape(-1, every, 3).mean(axis=1)
+    blocks = columns[: len(columns) // every * every].reshape(-1, every, columns.shape[1]).mean(axis=1)
     return np.asarray(blocks[np.isfinite(blocks).all(axis=1)])
 
 
@@ -208,6 +209,13 @@ def _told(naming: Selection, vehicle: Vehicle, ratio: Estimate) -> Selection:
         if not (r.name in _LIFTED and "payload" in named)
     )
     return replace(naming, identifiable=rows, rejected=rejected)
+
+
+def held_out_share(vehicle: Vehicle, of: FitHoldoutSplit) -> float:
+    """By how much of the weight the mean lift that the commands say is off on data not used before."""
+    rows = [_blocks([vehicle], s, mask) for s, mask in zip(of.flights, of.holdout, strict=True)]
+    said, felt = np.concatenate(rows).mean(axis=0) if any(len(each) for each in rows) else (math.nan, math.nan)
+    return float(said / felt - 1.0)
 
 
 def compared_only(naming: Selection, flights: Sequence[Samples]) -> str:
