@@ -71,7 +71,7 @@ def test_slow_motors_leave_the_side_force_and_the_mean_lift_and_say_so(flown: Fl
     ((_, lift),) = [check for check in result.report.checks if check[0] == "mean lift off by"]
     was, now = (float(each.split()[0]) for each in lift.split("→"))
     assert was == pytest.approx(100.0 * PAYLOAD_KG / quad().mass_kg, abs=1.5)  # and what the drag carries
-    assert now < 1.0
+    assert now < 0.2 * was  # a drag along the rotors' axis is not told, and carries 2 % of the weight here
     drawn, where = result.report.traces[0], {row.signal: row for row in result.report.where}
     for column, signal in enumerate(("specific_force_x", "specific_force_y")):  # one noise on the whole page
         assert drawn.noise[column] == pytest.approx(where[signal].expected_noise, rel=1e-9)
