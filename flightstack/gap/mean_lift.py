@@ -17,17 +17,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from flightstack.effects import EFFECTS
 from flightstack.gap.airspeed import DRAGS
 from flightstack.gap.classes import together, without_motors
 from flightstack.gap.concluded import Said, held_out_gap
-from flightstack.gap.decisions import HALF, SMALL_SHARE, SURE_ERRORS, TENTH
+from flightstack.gap.decisions import HALF, SURE_ERRORS
 from flightstack.gap.held import corrected
 from flightstack.gap.name import Selection
 from flightstack.gap.naming.estimate import CI
 from flightstack.gap.pooled import FitHoldoutSplit, Mask
 from flightstack.gap.records import Estimate, IdentifiedEffect, Samples
 from flightstack.gap.report.words import SIDE_AND_LIFT, SIDE_FORCE
-from flightstack.gap.simulate import predict
+from flightstack.gap.simulate import natural_scale, predict, value, with_value
 from flightstack.gap.track import GRAVITY_NED_MPS2, track
 from flightstack.gap.verdict import unexplained
 from flightstack.types import F64, InputError
@@ -37,12 +38,23 @@ from flightstack_logs.turn import rotate
 _LIFTED = ("payload", "thrust_scale")
 _ALIKE = ("thrust_scale", "thrust_curve", "constant_force")
 """What carries less, or pulls down, in the mean as a load does."""
+_IN_FLIGHT = (
+    ("ground_effect", "strength"),
+    ("vortex_ring", "strength"),
+    ("translational_lift", "k_h_kg_per_m"),
+    ("induced_inflow", "k_z_kg_per_rad"),
+)
+"""What may carry, or not, by how and where it is flown."""
+_PLAUSIBLE = 10.0
+"""Natural scales, each of which moves a vehicle by some percent."""
 _ROTORS = (1, 2, 3, 4)
 _STRETCHES = 6
 _BLOCK_S = 0.5
 _LEAST_ERROR = 0.004
 """Of the mass: in 13 flights of PX4's simulator at its default rates, with the drag as it was, the most was 0.0041."""
 _LEAST_ROWS = 4 * _STRETCHES
+_BESIDE = 5.0
+"""Times as far from none as sure, beside something unexplained: ropes, wakes and gusts make up to 4, slung loads 11."""
 _LOOKS = 3
 """A drag along the rotors' axis carries too, and follows the level ones; each look moves the load a tenth as far."""
 
@@ -52,26 +64,34 @@ def with_mean_lift(vehicle: Vehicle, said: Said, look: Callable[[Vehicle], Said]
     naming, of, _ = said
     known = {"thrust_scale", "payload"} & set(vehicle.effects) or any(f.name == "payload" for f in naming.found)
     known = known or {"rotors.max_thrust_n", "body.mass_kg"} & set(vehicle.ranges)  # what is guessed may be all of it
-    if known or not naming.can_be_fitted or not all("motor" in s.derived for s in of.flights):  # not: whole, or none
+    slow = all("motor" in s.derived for s in of.flights)  # not: whole, or none
+    if known or not slow or not naming.can_be_fitted:
         return said
+    times = _BESIDE if naming.unexplained.significant else 1.0
     ratio = _mass_ratio(vehicle, naming.found, of)
     if ratio is None:
         return said
-    if ratio.low <= 1.0 <= ratio.high:
-        return _as_heavy_as_the_file(vehicle, said, ratio)
+    if _is_one(ratio, times):
+        return said if times > 1.0 else _as_heavy_as_the_file(vehicle, said, ratio)
     try:
         loaded, ratio = _looked_again(vehicle, ratio, look)
     except InputError:
         return said
-    if ratio.low <= 1.0 <= ratio.high:
-        return _as_heavy_as_the_file(vehicle, said, ratio)
+    if _is_one(ratio, times):
+        return said if times > 1.0 else _as_heavy_as_the_file(vehicle, said, ratio)
     plain = {f.name for f in naming.found}
     naming, of, _ = loaded
-    twins = tuple(together(f, ("thrust_scale",)) if f.name in DRAGS and not plain & DRAGS else f for f in naming.found)
-    found = (_load(vehicle, ratio, _twins(naming.vehicle, of.flights, ratio.estimate)), *_braked(twins, ratio))
+    alike = _twins(naming.vehicle, of, ratio.estimate)
+    others = tuple(together(f, alike) if f.name in DRAGS and not plain & DRAGS else f for f in naming.found)
+    found = (_load(vehicle, ratio, alike), *_braked(others, ratio))
     naming = _told(replace(naming, found=found, vehicle=corrected(vehicle, found)), vehicle, ratio)
     gap = held_out_gap(vehicle, naming, of)
     return replace(naming, unexplained=unexplained(naming.unexplained, gap, named=True)), of, gap
+
+
+def _is_one(ratio: Estimate, times: float) -> bool:
+    """Whether the mass may be the file's, by an interval so many times as wide."""
+    return abs(ratio.estimate - 1.0) <= times * (ratio.high - ratio.estimate)
 
 
 def _looked_again(vehicle: Vehicle, ratio: Estimate, look: Callable[[Vehicle], Said]) -> tuple[Said, Estimate]:
@@ -140,7 +160,7 @@ def _blocks(vehicles: Sequence[Vehicle], samples: Samples, mask: Mask) -> F64:
     """(n, vehicles + 1) upward force by mass over each half second: as commands say it by each, and as it moved."""
     fast = _with_motors(samples)
     flight = track(fast)
-    said = [-rotate(flight.q_ned_frd, predict(v, fast)[:, :3])[:, 2] for v in vehicles]
+    said = [-rotate(flight.q_ned_frd, predict(_with_true_sensors(v), fast)[:, :3])[:, 2] for v in vehicles]
     columns = np.stack([*said, -(flight.vel_rate_ned_mps2 - GRAVITY_NED_MPS2)[:, 2]], axis=1)
     columns[~(mask & flight.usable)] = np.nan
     every = max(1, round(_BLOCK_S / samples.dt_s))
@@ -153,22 +173,34 @@ def _with_motors(samples: Samples) -> Samples:
     return replace(samples, derived=tuple(name for name in samples.derived if name != "motor"))
 
 
+def _with_true_sensors(vehicle: Vehicle) -> Vehicle:
+    """What moves the vehicle is asked for, and not what its sensors show."""
+    return replace(
+        vehicle, effects={name: own for name, own in vehicle.effects.items() if EFFECTS[name].kind != "sensor"}
+    )
+
+
 def _load(vehicle: Vehicle, ratio: Estimate, twins: tuple[str, ...]) -> IdentifiedEffect:
     best, low, high = (vehicle.mass_kg * (x - 1.0) for x in (ratio.estimate, ratio.low, ratio.high))
     return together(_named("payload", {"mass_kg": Estimate(0.0, best, low, high)}, ratio), twins)
 
 
-def _twins(vehicle: Vehicle, flights: Sequence[Samples], ratio: float) -> tuple[str, ...]:
-    """What would carry as much less in the mean, on these flights."""
-    sags = "battery_sag" not in vehicle.effects and any(_voltage_span(s) >= SMALL_SHARE for s in flights)
-    fast = [_with_motors(s) for s in flights]
-    weak = ratio > 1.0 and any(_is_weak_rotor(vehicle, s, ratio) for s in fast)
-    return (*_ALIKE, *["battery_sag"] * sags, *["rotor_fault"] * weak)
+def _twins(vehicle: Vehicle, of: FitHoldoutSplit, ratio: float) -> tuple[str, ...]:
+    """What would carry as much less (or more) in the mean, on these flights."""
+    sags = "battery_sag" not in vehicle.effects and any(np.any(s.battery_v > 0.0) for s in of.flights)
+    weak = ratio > 1.0 and any(_is_weak_rotor(vehicle, _with_motors(s), ratio) for s in of.flights)
+    swings = ("slung_load",) * (ratio > 1.0)
+    others = [effect for effect, parameter in _IN_FLIGHT if _carries(vehicle, of, ratio, effect, parameter)]
+    return (*_ALIKE, *swings, *["battery_sag"] * sags, *["rotor_fault"] * weak, *others)
 
 
-def _voltage_span(samples: Samples) -> float:
-    known = samples.battery_v[samples.valid & (samples.battery_v > 0.0)]
-    return float(np.ptp(np.quantile(known, (TENTH, 1.0 - TENTH))) / np.mean(known)) if len(known) else 0.0
+def _carries(vehicle: Vehicle, of: FitHoldoutSplit, ratio: float, effect: str, parameter: str) -> bool:
+    """Whether a plausible size of it, on these flights, would be what the mean lift is off by."""
+    size = _PLAUSIBLE * natural_scale(vehicle, effect, parameter)
+    other = with_value(vehicle, effect, {parameter: value(vehicle, effect, parameter) + size})
+    with_it, without = (_mean_share(each, of, [f | h for f, h in zip(of.fit, of.holdout, strict=True)])
+                        for each in (other, vehicle))  # fmt: skip
+    return without - with_it >= ratio - 1.0 > 0.0 or without - with_it <= ratio - 1.0 < 0.0
 
 
 def _is_weak_rotor(vehicle: Vehicle, samples: Samples, ratio: float) -> bool:
@@ -213,7 +245,11 @@ def _told(naming: Selection, vehicle: Vehicle, ratio: Estimate) -> Selection:
 
 def held_out_share(vehicle: Vehicle, of: FitHoldoutSplit) -> float:
     """By how much of the weight the mean lift that the commands say is off on data not used before."""
-    rows = [_blocks([vehicle], s, mask) for s, mask in zip(of.flights, of.holdout, strict=True)]
+    return _mean_share(vehicle, of, of.holdout)
+
+
+def _mean_share(vehicle: Vehicle, of: FitHoldoutSplit, masks: Sequence[Mask]) -> float:
+    rows = [_blocks([vehicle], s, mask) for s, mask in zip(of.flights, masks, strict=True)]
     said, felt = np.concatenate(rows).mean(axis=0) if any(len(each) for each in rows) else (math.nan, math.nan)
     return float(said / felt - 1.0)
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from flightstack.gap import classes
-from flightstack.gap.records import Estimate, IdentifiedEffect
+from flightstack.gap import classes, pooled
+from flightstack.gap.concluded import held_out_gap
+from flightstack.gap.mean_lift import with_mean_lift
+from flightstack.gap.name import name
+from flightstack.gap.records import Estimate, IdentifiedEffect, Unexplained
 from flightstack.gap.result import GapResult
 from flightstack.gap.simulate import FreeParameter, sensitivities
 from flightstack.gap.workflow import analyse, usable_flights
@@ -56,7 +60,8 @@ def test_slow_motors_leave_the_side_force_and_the_mean_lift_and_say_so(flown: Fl
     named = {found.name: found for found in result.found}
     assert set(named) == {"linear_drag", "payload"}
     assert set(named["linear_drag"].indistinguishable_from) == {"rotor_drag", "parasitic_drag"}
-    assert set(named["payload"].indistinguishable_from) == {"thrust_scale", "thrust_curve", "constant_force"}
+    alike = {"thrust_scale", "thrust_curve", "constant_force", "slung_load", "battery_sag"}
+    assert set(named["payload"].indistinguishable_from) == alike
     load = named["payload"].parameters["mass_kg"]
     assert load.low <= PAYLOAD_KG <= load.high
     assert load.high - load.low < 0.02 * quad().mass_kg
@@ -110,6 +115,41 @@ def test_a_lift_that_is_the_files_leaves_no_load_and_no_twin_and_says_how_much_i
     assert "agree within the noise in side force and mean lift, all that was compared" in as_flown.report.sentence
     assert "a payload of 0.0" in as_flown.report.sentence
     assert as_flown.report.sentence.endswith("as motors were logged too slowly.")
+
+
+def test_a_load_stands_beside_an_accelerometer_that_is_off_upwards_and_is_none_of_it(tmp_path: Path) -> None:
+    """Of 0.2 m/s^2 by what the sensor shows 0.2 / 9.8 of the mass was a load."""
+    truth = hidden(quad(), {"accelerometer_bias": {"x_mps2": 0.1, "y_mps2": -0.1, "z_mps2": 0.2}})
+    flight = fly(truth, quad(), wander(), seconds=30.0, seed=9)
+    found = analyse([written(flight, slow(flight), "motor_", tmp_path / "off.csv")], quad()).found
+    assert {each.name for each in found} == {"accelerometer_bias"}
+
+
+def test_translational_lift_is_a_loads_twin_where_it_is_flown_fast_enough(tmp_path: Path) -> None:
+    lifted = hidden(quad(), {"translational_lift": {"k_h_kg_per_m": 0.02}})
+    flight = fly(lifted, quad(), wander(), seconds=30.0, seed=10)
+    (load,) = analyse([written(flight, slow(flight), "motor_", tmp_path / "lifted.csv")], quad()).found
+    assert load.name == "payload"
+    assert load.parameters["mass_kg"].estimate < 0.0
+    assert "translational_lift" in load.indistinguishable_from
+    assert not {"vortex_ring", "slung_load", "rotor_fault"} & set(load.indistinguishable_from)
+
+
+@pytest.mark.parametrize(("share", "tells"), [(1.0, True), (0.2, False)])
+def test_beside_something_unexplained_a_load_must_be_clear(
+    flown: Flown, tmp_path: Path, share: float, tells: bool
+) -> None:
+    """Four tethers of 4, tried at 10 Hz, were a load of 0.02 to 0.16 of the mass beside a remainder."""
+    (samples,) = usable_flights([written(flown, slow(flown), "motor_", tmp_path / "slow.csv")], quad())
+    of = pooled.split([samples], [])
+    heavier = replace(quad(), mass_kg=quad().mass_kg + (1.0 - share) * PAYLOAD_KG)
+    naming = name(heavier, of.flights, of.fit, of.holdout)
+    gap = held_out_gap(heavier, naming, of)
+    left = replace(naming, unexplained=Unexplained(True, ("position",), 0.5))
+    told, _, _ = with_mean_lift(heavier, (left, of, gap), lambda vehicle: (naming, of, gap))
+    assert ("payload" in {each.name for each in told.found}) is tells
+    told, _, _ = with_mean_lift(heavier, (naming, of, gap), lambda vehicle: (naming, of, gap))
+    assert "payload" in {each.name for each in told.found}
 
 
 def test_a_log_without_motors_says_nothing_of_a_load(flown: Flown, tmp_path: Path) -> None:
