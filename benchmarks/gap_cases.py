@@ -196,8 +196,17 @@ def as_csv(table: dict[str, F64]) -> str:
     columns = [name for name in HEADER.split(",") if name in table]
     lines = [",".join(columns)]
     rows = np.stack([table[name] for name in columns], axis=1).tolist()
-    lines += [f"{row[0]:.6f}," + ",".join(f"{value:.7g}" for value in row[1:]) for row in rows]
+    lines += [
+        f"{row[0]:.6f}," + ",".join("" if value != value else f"{value:.7g}" for value in row[1:]) for row in rows
+    ]
     return "\n".join(lines) + "\n"
+
+
+def with_slow_motors(table: dict[str, F64]) -> dict[str, F64]:
+    """The table with commands ten times a second, as PX4 logs them by default; NaN between."""
+    tenth = np.floor(table["time_s"] / 0.1)
+    kept = np.diff(tenth, prepend=tenth[0] - 1.0) > 0.0
+    return table | {name: np.where(kept, table[name], np.nan) for name in (f"motor_{k}" for k in range(1, 5))}
 
 
 def _attitude(q: F64, truth: Vehicle, std_rad: float, rng: np.random.Generator) -> F64:
@@ -227,14 +236,19 @@ def _times(a: F64, b: F64) -> F64:
 
 
 def write(case: Case, folder: Path, stem: str, form: str = "csv") -> tuple[Path, Path, Path]:
-    """Log (`form`: csv or mcap) and vehicle into `folder`, the answer into `folder/sealed`."""
+    """Log (`form`: csv, slow for one with slow motors, or mcap) and vehicle into `folder`, the answer into its `sealed`."""
     sealed = folder / "sealed"
     sealed.mkdir(parents=True, exist_ok=True)
-    log, vehicle, answer = folder / f"{stem}.{form}", folder / f"{stem}.toml", sealed / f"{stem}.json"
+    log, vehicle, answer = (
+        folder / f"{stem}.{'mcap' if form == 'mcap' else 'csv'}",
+        folder / f"{stem}.toml",
+        sealed / f"{stem}.json",
+    )
     if form == "mcap":
         write_mcap(log, case.table, case.table["on_ground"])
     else:
-        log.write_text(case.csv, encoding="utf-8")
+        table = with_slow_motors(case.table) if form == "slow" else case.table
+        log.write_text(as_csv(table), encoding="utf-8")
     vehicle.write_text(vehicle_to_toml(case.believed), encoding="utf-8")
     answer.write_text(json.dumps(as_json(case.answer)) + "\n", encoding="utf-8")
     return log, vehicle, answer
@@ -254,7 +268,7 @@ def as_json(answer: Answer) -> dict[str, Any]:
 def blind(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
     """A case named without a look at its answer, and judged: a task of `campaigns/gap-blind.toml`.
 
-    `kind` as for `make`, `form` csv or mcap, `plant`: jsbsim flies what it can, the native one what it refuses.
+    `kind` as for `make`, `form` as for `write`, `plant`: jsbsim flies what it can, the native one what it refuses.
     """
     kind, plant = str(values["kind"]), str(values["plant"])
     if kind.startswith("outside:") or kind in {f"one:{effect}" for effect in REFUSED}:
@@ -280,7 +294,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--count", type=int, default=20, help="of each kind named, or in all")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--form", choices=("csv", "mcap"), default="csv")
+    parser.add_argument("--form", choices=("csv", "slow", "mcap"), default="csv")
     parser.add_argument("--kind", action="append", help="clean, one:NAME, two, three, outside:NAME (may be repeated)")
     options = parser.parse_args()
     every = kinds()
