@@ -79,11 +79,6 @@ class Case:
     truth: Vehicle
     flown: Flown
 
-    @property
-    def csv(self) -> str:
-        """Text of the log as a CSV."""
-        return as_csv(self.table)
-
 
 def make(kind: str, seed: int, *, plant: str = "native") -> Case:
     """A case of `kind`: clean, one:NAME, two, three, outside:NAME; a flight that crashes is drawn anew.
@@ -236,7 +231,7 @@ def _times(a: F64, b: F64) -> F64:
 
 
 def write(case: Case, folder: Path, stem: str, form: str = "csv") -> tuple[Path, Path, Path]:
-    """Log (`form`: csv, slow for one with slow motors, or mcap) and vehicle into `folder`, the answer into its `sealed`."""
+    """Log (`form`: csv, slow: with slow motors, mcap) and vehicle into `folder`, the answer into `folder/sealed`."""
     sealed = folder / "sealed"
     sealed.mkdir(parents=True, exist_ok=True)
     log, vehicle, answer = (
