@@ -21,12 +21,12 @@ from flightstack.effects import EFFECTS
 from flightstack.gap.airspeed import DRAGS
 from flightstack.gap.classes import together, without_motors
 from flightstack.gap.concluded import Said, held_out_gap
-from flightstack.gap.decisions import HALF, SURE_ERRORS
+from flightstack.gap.decisions import HALF, SMALL_SHARE, SURE_ERRORS
 from flightstack.gap.held import corrected
 from flightstack.gap.name import Selection
 from flightstack.gap.naming.estimate import CI
 from flightstack.gap.pooled import FitHoldoutSplit, Mask
-from flightstack.gap.records import Estimate, IdentifiedEffect, Samples
+from flightstack.gap.records import Estimate, IdentifiedEffect, Samples, Unexplained
 from flightstack.gap.report.words import SIDE_AND_LIFT, SIDE_FORCE
 from flightstack.gap.simulate import natural_scale, predict, value, with_value
 from flightstack.gap.track import GRAVITY_NED_MPS2, track
@@ -55,6 +55,8 @@ _LEAST_ERROR = 0.004
 _LEAST_ROWS = 4 * _STRETCHES
 _BESIDE = 5.0
 """Times as far from none as sure, beside something unexplained: ropes, wakes and gusts make up to 4, slung loads 11."""
+_SURE_T = 8.6
+"""Student's t of four degrees of freedom, one in a thousand."""
 _LOOKS = 3
 """A drag along the rotors' axis carries too, and follows the level ones; each look moves the load a tenth as far."""
 
@@ -67,6 +69,8 @@ def with_mean_lift(vehicle: Vehicle, said: Said, look: Callable[[Vehicle], Said]
     slow = all("motor" in s.derived for s in of.flights)  # not: whole, or none
     if known or not slow or not naming.can_be_fitted:
         return said
+    if drift := _drift(vehicle, naming.found, of):
+        return _with_drift(said, drift)
     times = _BESIDE if naming.unexplained.significant else 1.0
     ratio = _mass_ratio(vehicle, naming.found, of)
     if ratio is None:
@@ -87,6 +91,35 @@ def with_mean_lift(vehicle: Vehicle, said: Said, look: Callable[[Vehicle], Said]
     naming = _told(replace(naming, found=found, vehicle=corrected(vehicle, found)), vehicle, ratio)
     gap = held_out_gap(vehicle, naming, of)
     return replace(naming, unexplained=unexplained(naming.unexplained, gap, named=True)), of, gap
+
+
+def _with_drift(said: Said, change: float) -> Said:
+    """The verdict, in which a lift that changes in flight is something that no effect explains."""
+    naming = said[0]
+    rest = naming.unexplained
+    drivers = ("time", *(driver for driver in rest.depends_on if driver != "time"))
+    fraction = rest.fraction if naming.found or rest.significant else 1.0
+    shown = f"what the same commands carry changes by {100.0 * abs(change):.0f} % of the weight in flight"
+    return replace(naming, unexplained=Unexplained(True, drivers, fraction, shown)), *said[1:]
+
+
+def _drift(vehicle: Vehicle, found: Sequence[IdentifiedEffect], of: FitHoldoutSplit) -> float:
+    """By how much of the weight the lift changes over a flight, by a straight line that is surely there; else 0."""
+    whole = _with_upright_drag(corrected(vehicle, found), found)
+    at = np.arange(_STRETCHES) - 0.5 * (_STRETCHES - 1)
+    for samples in of.flights:
+        rows = _blocks([whole], samples, samples.valid)
+        if len(rows) < _LEAST_ROWS:
+            continue
+        parts = [part.mean(axis=0) for part in np.array_split(rows, _STRETCHES)]
+        ratios = np.array([said / felt for said, felt in parts])
+        slope = float(at @ ratios / (at @ at))
+        rest = ratios - ratios.mean() - slope * at
+        error = math.sqrt(float(rest @ rest) / (_STRETCHES - 2) / float(at @ at))
+        change = slope * float(at[-1] - at[0])
+        if abs(slope) > _SURE_T * error and abs(change) > SMALL_SHARE:
+            return change
+    return 0.0
 
 
 def _is_one(ratio: Estimate, times: float) -> bool:
@@ -136,7 +169,7 @@ def _balance(rows: F64) -> tuple[float, float]:
     """
     said, change, felt = rows[:, 0], rows[:, 1] - rows[:, 0], rows[:, 2]
     plain = np.mean(said) / np.mean(felt)
-    noise = float(np.var(said - plain * felt))
+    noise = max(float(np.var(said - plain * felt)), 1e-12)
     swing = (change - np.mean(change)) / noise
     weight = float(swing @ change) + HALF**-2
     A = np.array([[np.mean(felt), -np.mean(change)], [-swing @ felt, weight]])
