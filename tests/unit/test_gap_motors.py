@@ -152,6 +152,18 @@ def test_beside_something_unexplained_a_load_must_be_clear(
     assert "payload" in {each.name for each in told.found}
 
 
+def test_a_lift_that_changes_in_flight_is_no_load_and_said(flown: Flown, tmp_path: Path) -> None:
+    """Of eight thrusts that fade with time, tried at 10 Hz, eight were a load beside nothing unexplained."""
+    ramp = 1.0 + 0.15 * flown.t_s / flown.t_s[-1]
+    truth = hidden(quad(), {"linear_drag": DRAG, "payload": {"mass_kg": PAYLOAD_KG}})
+    log = written(flown, slow(flown) * ramp[:, None], "motor_", tmp_path / "fading.csv")
+    result = analyse([log], truth)
+    assert not result.found
+    assert result.unexplained.significant
+    assert result.unexplained.depends_on[0] == "time"
+    assert "what the same commands carry changes by" in result.report.sentence
+
+
 def test_a_log_without_motors_says_nothing_of_a_load(flown: Flown, tmp_path: Path) -> None:
     log = written(flown, np.full_like(flown.motor, np.nan), "motor_", tmp_path / "none.csv")
     result = analyse([log], quad(), kinematics_only=True)
