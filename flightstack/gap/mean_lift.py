@@ -64,10 +64,9 @@ _LOOKS = 3
 def with_mean_lift(vehicle: Vehicle, said: Said, look: Callable[[Vehicle], Said]) -> Said:
     """The verdict with the load that the mean lift tells; `look` says what the flights tell against a vehicle."""
     naming, of, _ = said
-    known = {"thrust_scale", "payload"} & set(vehicle.effects) or any(f.name == "payload" for f in naming.found)
-    known = known or {"rotors.max_thrust_n", "body.mass_kg"} & set(vehicle.ranges)  # what is guessed may be all of it
+    guessed = {"rotors.max_thrust_n", "body.mass_kg"} & set(vehicle.ranges)  # what is guessed may be all of it
     slow = all("motor" in s.derived for s in of.flights)  # not: whole, or none
-    if known or not slow or not naming.can_be_fitted:
+    if guessed or not slow or not naming.can_be_fitted or any(f.name == "payload" for f in naming.found):
         return said
     if drift := _drift(vehicle, naming.found, of):
         return _with_drift(said, drift)
@@ -130,7 +129,7 @@ def _is_one(ratio: Estimate, times: float) -> bool:
 def _looked_again(vehicle: Vehicle, ratio: Estimate, look: Callable[[Vehicle], Said]) -> tuple[Said, Estimate]:
     """What the flights tell against the vehicle at the mass that its lift carries, and that mass by the file's own."""
     for _ in range(_LOOKS):
-        heavy = replace(vehicle, mass_kg=ratio.estimate * vehicle.mass_kg)
+        heavy = replace(vehicle, mass_kg=vehicle.mass_kg + (ratio.estimate - 1.0) * vehicle.total_mass_kg)
         said = look(heavy)
         more = _mass_ratio(heavy, said[0].found, said[1])
         if more is None:
@@ -214,8 +213,9 @@ def _with_true_sensors(vehicle: Vehicle) -> Vehicle:
 
 
 def _load(vehicle: Vehicle, ratio: Estimate, twins: tuple[str, ...]) -> IdentifiedEffect:
-    best, low, high = (vehicle.mass_kg * (x - 1.0) for x in (ratio.estimate, ratio.low, ratio.high))
-    return together(_named("payload", {"mass_kg": Estimate(0.0, best, low, high)}, ratio), twins)
+    was = value(vehicle, "payload", "mass_kg")
+    best, low, high = (was + vehicle.total_mass_kg * (x - 1.0) for x in (ratio.estimate, ratio.low, ratio.high))
+    return together(_named("payload", {"mass_kg": Estimate(was, best, low, high)}, ratio), twins)
 
 
 def _twins(vehicle: Vehicle, of: FitHoldoutSplit, ratio: float) -> tuple[str, ...]:
@@ -260,7 +260,7 @@ def _as_heavy_as_the_file(vehicle: Vehicle, said: Said, ratio: Estimate) -> Said
 
 def _told(naming: Selection, vehicle: Vehicle, ratio: Estimate) -> Selection:
     """The verdict with what the lift says of a load among what was asked."""
-    width = vehicle.mass_kg * (ratio.high - ratio.estimate)
+    width = vehicle.total_mass_kg * (ratio.high - ratio.estimate)
     rows = tuple(
         replace(row, error=width / CI, smallest=width, shown=True, like="thrust_scale")
         if row.effect == "payload"

@@ -18,7 +18,7 @@ from flightstack.gap.result import GapResult
 from flightstack.gap.simulate import FreeParameter, sensitivities
 from flightstack.gap.workflow import analyse, usable_flights
 from flightstack.types import InputError
-from flightstack.vehicle import parse_vehicle, vehicle_to_toml
+from flightstack.vehicle import Vehicle, parse_vehicle, vehicle_to_toml
 from flightstack_logs.readers.csv_file import HEADER
 from tests.gap_flights import Flown, fly, hidden, hover, quad, wander
 
@@ -46,6 +46,10 @@ def written(flown: Flown, motors: np.ndarray, names: str, log: Path) -> Path:
 
 def found_in(flown: Flown, motors: np.ndarray, names: str, folder: Path) -> GapResult:
     return analyse([written(flown, motors, names, folder / "flight.csv")], quad())
+
+
+def found_against(vehicle: Vehicle, flown: Flown, motors: np.ndarray, folder: Path) -> GapResult:
+    return analyse([written(flown, motors, "motor_", folder / "flight.csv")], vehicle)
 
 
 def slow(flown: Flown) -> np.ndarray:
@@ -152,10 +156,20 @@ def test_beside_something_unexplained_a_load_must_be_clear(
     assert "payload" in {each.name for each in told.found}
 
 
+def test_a_load_that_the_file_has_already_is_put_right(flown: Flown, tmp_path: Path) -> None:
+    half = hidden(quad(), {"linear_drag": DRAG, "payload": {"mass_kg": PAYLOAD_KG / 2.0}})
+    load = next(f for f in found_against(half, flown, slow(flown), tmp_path).found if f.name == "payload")
+    told = load.parameters["mass_kg"]
+    assert told.before == PAYLOAD_KG / 2.0
+    assert told.low <= PAYLOAD_KG <= told.high
+    assert told.low > PAYLOAD_KG / 2.0
+
+
 def test_a_lift_that_changes_in_flight_is_no_load_and_said(flown: Flown, tmp_path: Path) -> None:
     """Of eight thrusts that fade with time, tried at 10 Hz, eight were a load beside nothing unexplained."""
     ramp = 1.0 + 0.15 * flown.t_s / flown.t_s[-1]
     truth = hidden(quad(), {"linear_drag": DRAG, "payload": {"mass_kg": PAYLOAD_KG}})
+    assert "mean lift, all that was compared" in found_against(truth, flown, slow(flown), tmp_path).report.sentence
     log = written(flown, slow(flown) * ramp[:, None], "motor_", tmp_path / "fading.csv")
     result = analyse([log], truth)
     assert not result.found
