@@ -65,8 +65,12 @@ def with_mean_lift(vehicle: Vehicle, said: Said, look: Callable[[Vehicle], Said]
     """The verdict with the load that the mean lift tells; `look` says what the flights tell against a vehicle."""
     naming, of, _ = said
     guessed = {"rotors.max_thrust_n", "body.mass_kg"} & set(vehicle.ranges)  # what is guessed may be all of it
-    slow = all("motor" in s.derived for s in of.flights)  # not: whole, or none
-    if guessed or not slow or not naming.can_be_fitted or any(f.name == "payload" for f in naming.found):
+    if (
+        guessed
+        or not all(_tells(s) for s in of.flights)
+        or not naming.can_be_fitted
+        or any(f.name == "payload" for f in naming.found)
+    ):
         return said
     if drift := _drift(vehicle, naming.found, of):
         return _with_drift(said, drift)
@@ -90,6 +94,12 @@ def with_mean_lift(vehicle: Vehicle, said: Said, look: Callable[[Vehicle], Said]
     naming = _told(replace(naming, found=found, vehicle=corrected(vehicle, found)), vehicle, ratio)
     gap = held_out_gap(vehicle, naming, of)
     return replace(naming, unexplained=unexplained(naming.unexplained, gap, named=True)), of, gap
+
+
+def _tells(samples: Samples) -> bool:
+    """Whether its motors tell a mean and no more, and it says how the vehicle leaned and moved."""
+    needs = {"q_ned_frd", "vel_ned_mps"}
+    return "motor" in samples.derived and not needs & track(samples).missing and "q_ned_frd" not in samples.derived
 
 
 def _with_drift(said: Said, change: float) -> Said:

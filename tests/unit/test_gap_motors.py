@@ -13,7 +13,7 @@ from flightstack.gap import classes, pooled
 from flightstack.gap.concluded import held_out_gap
 from flightstack.gap.mean_lift import with_mean_lift
 from flightstack.gap.name import name
-from flightstack.gap.records import Estimate, IdentifiedEffect, Unexplained
+from flightstack.gap.records import Estimate, Figures, Gap, IdentifiedEffect, Unexplained
 from flightstack.gap.result import GapResult
 from flightstack.gap.simulate import FreeParameter, sensitivities
 from flightstack.gap.workflow import analyse, usable_flights
@@ -176,6 +176,20 @@ def test_a_lift_that_changes_in_flight_is_no_load_and_said(flown: Flown, tmp_pat
     assert result.unexplained.significant
     assert result.unexplained.depends_on[0] == "time"
     assert "what the same commands carry changes by" in result.report.sentence
+
+
+@pytest.mark.parametrize("lacks", ["q_ned_frd", "vel_ned_mps"])
+def test_without_how_it_leaned_or_moved_no_lift_is_compared(flown: Flown, tmp_path: Path, lacks: str) -> None:
+    (samples,) = usable_flights([written(flown, slow(flown), "motor_", tmp_path / "slow.csv")], quad())
+    gone = {name: np.full_like(getattr(samples, name), np.nan) for name in (lacks, "pos_ned_m")}
+    bare = replace(samples, **gone)
+    naming = name(quad(), [bare], [bare.valid], [bare.valid])
+    said = (
+        naming,
+        pooled.FitHoldoutSplit((bare,), (bare.valid,), (bare.valid,)),
+        Gap(*3 * [Figures(None, None, None)], None),
+    )
+    assert with_mean_lift(quad(), said, lambda vehicle: said) is said
 
 
 def test_a_log_without_motors_says_nothing_of_a_load(flown: Flown, tmp_path: Path) -> None:
