@@ -86,11 +86,14 @@ def with_mean_lift(vehicle: Vehicle, said: Said, look: Callable[[Vehicle], Said]
         return said
     if _is_one(ratio, times):
         return said if times > 1.0 else _as_heavy_as_the_file(vehicle, said, ratio)
-    plain = {f.name for f in naming.found}
-    naming, of, _ = loaded
-    alike = _twins(naming.vehicle, of, ratio.estimate)
-    others = tuple(together(f, alike) if f.name in DRAGS and not plain & DRAGS else f for f in naming.found)
-    found = (_load(vehicle, ratio, alike), *_braked(others, ratio))
+    if abs(ratio.estimate - 1.0) > HALF:  # no load to believe in: a vehicle is weighed, and what brakes it stays
+        found = (_thrust(vehicle, ratio), *naming.found)
+    else:
+        plain = {f.name for f in naming.found}
+        naming, of, _ = loaded
+        alike = _twins(naming.vehicle, of, ratio.estimate)
+        others = tuple(together(f, alike) if f.name in DRAGS and not plain & DRAGS else f for f in naming.found)
+        found = (_load(vehicle, ratio, alike), *_braked(others, ratio))
     naming = _told(replace(naming, found=found, vehicle=corrected(vehicle, found)), vehicle, ratio)
     gap = held_out_gap(vehicle, naming, of)
     return replace(naming, unexplained=unexplained(naming.unexplained, gap, named=True)), of, gap
@@ -228,6 +231,12 @@ def _load(vehicle: Vehicle, ratio: Estimate, twins: tuple[str, ...]) -> Identifi
     return together(_named("payload", {"mass_kg": Estimate(was, best, low, high)}, ratio), twins)
 
 
+def _thrust(vehicle: Vehicle, ratio: Estimate) -> IdentifiedEffect:
+    was = value(vehicle, "thrust_scale", "scale")
+    scale = Estimate(was, was / ratio.estimate, was / ratio.high, was / ratio.low)
+    return together(_named("thrust_scale", {"scale": scale}, ratio), ("payload", "thrust_curve"))
+
+
 def _twins(vehicle: Vehicle, of: FitHoldoutSplit, ratio: float) -> tuple[str, ...]:
     """What would carry as much less (or more) in the mean, on these flights."""
     sags = "battery_sag" not in vehicle.effects and any(np.any(s.battery_v > 0.0) for s in of.flights)
@@ -281,7 +290,7 @@ def _told(naming: Selection, vehicle: Vehicle, ratio: Estimate) -> Selection:
     rejected = tuple(
         replace(r, reason="the mean lift carries what the file says") if r.name in _LIFTED else r
         for r in naming.rejected
-        if not (r.name in _LIFTED and "payload" in named)
+        if not (r.name in _LIFTED and named & set(_LIFTED))
     )
     return replace(naming, identifiable=rows, rejected=rejected)
 

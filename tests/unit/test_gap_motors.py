@@ -156,6 +156,21 @@ def test_beside_something_unexplained_a_load_must_be_clear(
     assert "payload" in {each.name for each in told.found}
 
 
+@pytest.mark.parametrize("share", [0.6, 1.3])
+def test_a_load_of_more_than_half_the_mass_is_a_thrust_that_leaves_the_drag_as_it_is(
+    tmp_path: Path, share: float
+) -> None:
+    """Commands logged at 0.6 of what was sent were a load of -0.8 kg of 1.2, and a third of the drag."""
+    empty = fly(hidden(quad(), {"linear_drag": DRAG}), quad(), wander(), seconds=30.0, seed=5)
+    result = found_against(quad(), empty, np.clip(slow(empty) * share, 0.0, 1.0), tmp_path)
+    found = {f.name: f for f in result.found}
+    assert set(found) == {"thrust_scale", "linear_drag"}
+    assert "payload" in found["thrust_scale"].indistinguishable_from
+    for parameter in ("d_x_kgps", "d_y_kgps"):
+        told = found["linear_drag"].parameters[parameter]
+        assert told.low <= DRAG[parameter] <= told.high
+
+
 def test_a_load_that_the_file_has_already_is_put_right(flown: Flown, tmp_path: Path) -> None:
     half = hidden(quad(), {"linear_drag": DRAG, "payload": {"mass_kg": PAYLOAD_KG / 2.0}})
     load = next(f for f in found_against(half, flown, slow(flown), tmp_path).found if f.name == "payload")
