@@ -32,6 +32,8 @@ from numba.core import caching, registry, sigutils, types
 from numba.core import config as _numba_config
 from numba.core.types import unliteral  # type: ignore[attr-defined]
 
+from flightstack.lean_compiling import compile_leanly
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGES = ("flightstack", "flightstack_sim", "flightstack_logs", "mavlink_bridge", "flightstack_paper", "benchmarks")
@@ -208,6 +210,7 @@ def _import_blas() -> None:
 
 
 _import_blas()
+compile_leanly(_PACKAGES)
 caching.CacheImpl._locator_classes.insert(0, _ContentLocator)
 
 

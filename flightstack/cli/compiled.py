@@ -28,8 +28,8 @@ SIMULATOR, JSBSIM, FLIGHT, SITE, CERTIFY, GAP = "simulator", "jsbsim", "flight",
 PARTS = (SIMULATOR, JSBSIM, FLIGHT, SITE, CERTIFY, GAP)
 """The simulated vehicle on the native plant; on JSBSim; the one on the native plant and the companion; what `--site`
 and the shield need beside those; what an exploration does; what `gap` simulates with."""
-_UNFILTERED = "unfiltered"
-"""What a companion without certifier and filter calls: half of a flight's part."""
+_COMPANION = "companion"
+"""What a companion calls, and the link, but for what the other process compiles: half of a flight's part."""
 _SCENARIOS = ("paper-tracking", "minimum-snap")
 _EVERY_S = 5.0
 _FIELD = """schema = "flightstack.site/1"
@@ -105,13 +105,16 @@ def compile_part(part: str) -> None:
     if part in alone:
         alone[part]()
         return
-    if part in (FLIGHT, _UNFILTERED):
+    if part in (FLIGHT, _COMPANION):
         from flightstack.cli.flight import FlyOptions, prepare, warm_up_all
+        from mavlink_bridge import frequent
 
-        if part == _UNFILTERED:
+        if part == _COMPANION:
             prepare(FlyOptions(scenario=_SCENARIOS[0], filtering=False)).flight.warm_up()
+            frequent.prepare()
+            prepare(FlyOptions(scenario=_SCENARIOS[0])).flight.warm_up()  # by now the other has compiled its filter
             return
-        with _compiling(_UNFILTERED) as other:  # meanwhile: filter and certifier, then the simulator
+        with _compiling(_COMPANION) as other:  # meanwhile: filter and certifier, then the simulator
             setups = [prepare(FlyOptions(scenario=scenario)) for scenario in _SCENARIOS]
             compile_part(SIMULATOR)
             other.wait()
@@ -192,9 +195,8 @@ def _compile_gap() -> None:
 def main(parts: list[str]) -> None:
     """Compile these parts (none: all that a flight calls), then leave a mark in the cache for each."""
     stand_back()  # two processes that compile in real time leave nobody a processor for a minute
-    strict = set(parts or [FLIGHT]) <= {SIMULATOR, JSBSIM}  # the simulator takes every sum in its order
     for part in parts or [FLIGHT]:
-        if part == _UNFILTERED:
+        if part == _COMPANION:
             _end_with(sys.stdin)
             with quick_compiling():
                 compile_part(part)
@@ -202,7 +204,7 @@ def main(parts: list[str]) -> None:
         with locked("compiling"):
             if not compiled(part):
                 _tell_progress()
-                with quick_compiling(strict):
+                with quick_compiling():
                     compile_part(part)
                 _marker(part).touch()
 

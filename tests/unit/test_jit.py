@@ -6,27 +6,23 @@ import json
 import math
 import operator
 import os
+import re
 import subprocess
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 import pytest
-from numba.core.caching import NullCache
+from numba.core.codegen import JITCPUCodegen
 
-import flightstack_sim
 from flightstack import quick_compiling
 from flightstack.cli import compiled
-from flightstack.jit import _named_modules, machine_key, njit
+from flightstack.jit import machine_key, njit
 from flightstack.quick_compiling import typed_once
 
 ROOT = Path(__file__).resolve().parents[2]
-SIMULATOR_FILES = [
-    *Path(flightstack_sim.__file__).parent.rglob("*.py"), *Path(quick_compiling.__file__).parent.glob("effects/*.py")
-]  # fmt: skip
 _CALLED = "from flightstack.jit import njit\n\n\n@njit\ndef scale(x):\n    return {factor} * x\n"
 _CALLER = """import json
 from flightstack import quick_compiling
@@ -125,100 +121,85 @@ def test_a_function_compiled_with_remembered_operations_computes_the_same() -> N
         np.testing.assert_array_equal(a, b)
 
 
-@njit
 def _checked_root(x: float) -> float:
     if x < 0.0:
         raise ValueError("no root")
     return math.sqrt(x)
 
 
-@njit
-def _sum_of_roots(v: Any) -> float:
+def _sum_of_roots(v: Any, root: Any) -> float:
     total = 0.0
     for i in range(v.shape[0]):
-        total += _checked_root(v[i]) / 3.0
+        total += root(v[i]) / 3.0
     return total
 
 
-def test_what_is_only_linked_computes_the_same_and_has_no_machine_code_of_its_own() -> None:
-    """A third of the simulator's compiling went into machine code that nobody runs."""
+def _copy(source: Any, target: Any, first: int) -> None:
+    target[first:] = source
+
+
+RELAXED = {"reassoc", "contract", "nsz"}
+WHOSE = pytest.mark.parametrize("module", ["flightstack.jit", __name__])
+"""Of the project's packages, and of somebody else's."""
+
+
+def _roots(monkeypatch: pytest.MonkeyPatch, module: str, fastmath: Any = False) -> Any:
+    """The sum of roots, compiled as a function of this module, and the root as one that only it calls."""
+    for function in (_checked_root, _sum_of_roots):
+        monkeypatch.setattr(function, "__module__", module)
+    root = numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=True, fastmath=fastmath)(_checked_root)
+    whole = numba.njit(no_cfunc_wrapper=True, fastmath=fastmath)(_sum_of_roots)
+    return lambda values: whole(values, root), whole
+
+
+@WHOSE
+@pytest.mark.parametrize("fastmath", [False, RELAXED], ids=["in order", "in any order"])
+def test_what_only_compiled_callers_call_has_no_machine_code_of_its_own(
+    module: str, fastmath: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A quarter of a flight's compiling went into machine code that nobody runs."""
     values = np.array([0.1, 0.7, 2.0, 5.3])
     made: list[str] = []
-    finish = quick_compiling.JITCPUCodegen._add_module
-    with quick_compiling.linked_only(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_sum_of_roots, "_cache", NullCache())
-        patch.setattr(
-            quick_compiling.JITCPUCodegen, "_add_module", lambda self, m: (made.append(m.name), finish(self, m))[1]
-        )
-        linked = _sum_of_roots(values)
-        with pytest.raises(ValueError, match="no root"):
-            _sum_of_roots(-values)
-    assert [name for name in made if "_root" in name] == ["_sum_of_roots"]
-    expected = 0.0
-    for value in values:
-        expected += math.sqrt(value) / 3.0
-    assert linked == expected
-    assert _checked_root(4.0) == 2.0  # for Python it is compiled with its wrapper, as ever
+    finish = JITCPUCodegen._add_module
+    monkeypatch.setattr(JITCPUCodegen, "_add_module", lambda self, m: (made.append(m.name), finish(self, m))[1])
+    roots, _ = _roots(monkeypatch, module, fastmath)
+    assert roots(values) == pytest.approx(sum(math.sqrt(value) / 3.0 for value in values), rel=1e-15)
+    with pytest.raises(ValueError, match="no root"):
+        roots(-values)
+    ours = module == "flightstack.jit"
+    assert sorted(name for name in made if "_root" in name) == ["_checked_root"] * (not ours) + ["_sum_of_roots"]
 
 
-def test_what_a_sum_in_another_order_may_be_made_of_has_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[str] = []
-    finish = quick_compiling.JITCPUCodegen._add_module
-    monkeypatch.setattr(
-        quick_compiling.JITCPUCodegen, "_add_module", lambda self, m: (made.append(m.name), finish(self, m))[1]
-    )
-    for where, code in (("elsewhere", ["_twice_the_roots"]), (__name__, ["_root_of", "_twice_the_roots"])):
-        monkeypatch.setattr(quick_compiling, "_VECTORS", where)
-        made.clear()
-        with quick_compiling.linked_only(strict=False):
-            root = numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=True)(_root_of)
+def test_a_process_that_only_compiles_makes_the_code_that_a_flight_would(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sums in any order among it: which order depends on what the compiler had seen before."""
 
-            def _twice_the_roots(x: float, root: Any = root) -> float:
-                return 2.0 * float(root(x)) + float(root(x + 1.0))
+    def code() -> str:
+        roots, whole = _roots(monkeypatch, "flightstack.jit", RELAXED)
+        roots(np.ones(3))
+        (text,) = whole.inspect_asm().values()
+        return re.sub(r"\b(_ZN|\.L|\d)\w*|[\w.]*\$\w*", "", text)  # without names, which count what was compiled before
 
-            assert numba.njit(_twice_the_roots)(4.0) == 4.0 + math.sqrt(5.0)
-        assert sorted({name.split(".")[-1] for name in made if "root" in name}) == code
+    flight = code()
+    assert flight.count("sqrt") >= 1
+    with quick_compiling.quick_compiling():
+        assert code() == flight
 
 
-def _root_of(x: float) -> float:
-    return math.sqrt(x)
-
-
-def test_whatever_takes_sums_in_another_order_is_where_machine_code_is_made() -> None:
-    """What such a function calls is imported by its module; of the project that is the same package's."""
-    package = quick_compiling._VECTORS.rstrip(".")
-    for path in ROOT.glob("[!.t]*/**/*.py"):
-        text = path.read_text()
-        module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-        if "@njit_vector" not in text:
-            continue
-        assert module.startswith(package + ".")
-        named = {name for name in _named_modules(text) if "." in name}
-        plain = ("flightstack.jit", "flightstack.types")
-        assert all(name.startswith((package, *plain)) for name in named), named
-
-
-def test_only_a_part_that_takes_every_sum_in_its_order_is_compiled_by_linking(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@WHOSE
+def test_an_array_for_a_slice_of_another_length_is_an_error_that_needs_no_text(
+    module: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[bool] = []
-
-    def compiling(strict: bool = False) -> Any:
-        asked.append(strict)
-        return nullcontext()
-
-    monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(quick_compiling, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(compiled, "quick_compiling", compiling)
-    monkeypatch.setattr(compiled, "compile_part", lambda part: None)
-    monkeypatch.setattr(compiled, "stand_back", lambda: None)
-    monkeypatch.setattr(compiled, "_tell_progress", lambda: None)
-    for parts in (["simulator"], ["jsbsim"], ["flight"], ["jsbsim", "flight"]):
-        compiled.main(parts)
-        for marker in tmp_path.glob("*-is-compiled-*"):
-            marker.unlink()
-    assert asked == [True, True, False, False, False]
-    assert not any("njit_vector" in path.read_text() for path in SIMULATOR_FILES)
+    """A seventh of a flight's compiling was for words that say two lengths; a user's own functions keep them."""
+    monkeypatch.setattr(_copy, "__module__", module)
+    copy, target = numba.njit(_copy), np.zeros(4)
+    copy(np.array([1.0, 2.0]), target, 2)
+    assert target.tolist() == [0.0, 0.0, 1.0, 2.0]
+    with pytest.raises(ValueError, match="cannot assign slice") as raised:
+        copy(np.ones(3), target, 2)
+    ours = module == "flightstack.jit"
+    assert ("(3,)" in str(raised.value)) is not ours
+    (text,) = copy.inspect_llvm().values()
+    assert ("unicode" in text) is not ours
 
 
 def test_only_what_is_missing_is_compiled_and_a_flight_brings_its_simulator(
@@ -255,7 +236,7 @@ def test_a_cache_that_was_filled_on_another_processor_is_not_taken_for_compiled(
 
 
 def test_the_other_half_of_compiling_ends_with_the_process_that_began_it() -> None:
-    half = compiled._compiling(compiled._UNFILTERED)
+    half = compiled._compiling(compiled._COMPANION)
     assert half.stdin is not None
     half.stdin.close()
     assert half.wait(60.0) == 1
