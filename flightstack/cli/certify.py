@@ -26,7 +26,7 @@ from flightstack.cli import files
 from flightstack.cli.barrier_score import WatchedCertifier
 from flightstack.cli.certified import DOWN, CertifiedFigures, figures_of
 from flightstack.cli.certified_page import page_of
-from flightstack.cli.flight import FlyOptions, Setup, fly_setup, prepare
+from flightstack.cli.flight import FlyOptions, Setup, compiling, fly_setup, prepare
 from flightstack.cli.protection import governor_for
 from flightstack.cli.result import FlightResult
 from flightstack.cli.sensors import error_statistics
@@ -151,12 +151,15 @@ def _round(row: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def prepare_certify(options: FlyOptions, certifier: CertifierConfig = VERTICAL) -> Setup:
+def prepare_certify(
+    options: FlyOptions, certifier: CertifierConfig = VERTICAL, on_read: Callable[[], None] = lambda: None
+) -> Setup:
     """The flight that explores the scenario's region; InputError where it can't be, or must not be flown.
 
-    The vertical axis alone is certified, as the paper does, unless `certifier` says otherwise.
+    The vertical axis alone is certified, as the paper does, unless `certifier` says otherwise.  `on_read`: see
+    `prepare`.
     """
-    return explored(prepare(options), options, certifier)
+    return explored(prepare(options, on_read), options, certifier)
 
 
 def explored(setup: Setup, options: FlyOptions, config: CertifierConfig = VERTICAL) -> Setup:
@@ -208,7 +211,7 @@ def certify(
     config: ExploreConfig | None = None,
 ) -> CertifyResult:
     """Explore, certify, write the files; InputError before anything moves, else a result."""
-    setup = prepare_certify(options)
+    setup = prepare_certify(options, on_read=compiling(options, on_progress))
     if config is None:
         told = setup.flight.with_more({EXPLORE_S: f"{setup.flight.scenario.duration_s:.12g}"})
         setup = replace(setup, flight=told)

@@ -18,8 +18,7 @@ import numpy as np
 
 from flightstack.cli import files
 from flightstack.cli.certify import EXPLORE_S
-from flightstack.cli.compiled import FLIGHT, SITE, ensure_compiled
-from flightstack.cli.flight import FlyOptions, Setup, fly_setup, prepare
+from flightstack.cli.flight import FlyOptions, Setup, compiling, fly_setup, prepare
 from flightstack.cli.result import FlightResult
 from flightstack.cli.site import TimedSiteFilter
 from flightstack.cli.site_track import height_to_fly_m
@@ -210,8 +209,7 @@ def certify_site(
     faster."""
     if options.certificate is not None or not options.learning:
         raise InputError("certify --site learns from the prior on: leave out --certificate and --no-learning")
-    ensure_compiled(lambda text: on_progress(0.0, text), FLIGHT, SITE)
-    setup = prepare(options)
+    setup = prepare(options, compiling(options, on_progress))
     certify = _Certify(setup, options)
     planner = FlownSpeeds(certify.timed)
     if explores:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from flightstack.autopilot import autopilot_of
 from flightstack.cli import files
@@ -105,15 +106,18 @@ class Setup:
     companion: CompanionConfig = field(default_factory=lambda: CompanionConfig(arm=True))
 
 
-def prepare(options: FlyOptions) -> Setup:
-    """Read and check everything before anything moves; InputError with one line where something is wrong."""
+def prepare(options: FlyOptions, on_read: Callable[[], None] = lambda: None) -> Setup:
+    """Read and check everything before anything moves; InputError with one line where something is wrong.
+
+    on_read: called when the files are read and nothing else is done yet.
+    """
     faults = parse_faults(options.fault)
 
     def known(scenario: Scenario, believed: Vehicle) -> Mapping[str, float]:
         return autopilot_of(believed, _truth(options, scenario, believed))
 
     # a site's certificate takes seconds: it is made once, for the gains that `offboard` reads from its vehicle
-    flight = prepare_flight(options) if options.site is None else prepare_flight(options, known)
+    flight = prepare_flight(options, {} if options.site is None else known, on_read)
     truth = _truth(options, flight.scenario, flight.believed)
     gains = autopilot_of(flight.believed, truth)
     if flight.protection.filter.enabled and tuned(flight.believed, gains) is not flight.believed:
@@ -282,11 +286,16 @@ def fly(
     """
     scenario, file = files.load_scenario(options.scenario, options.waypoints)
     options = with_filed(options, scenario.flight, str(file.path))
-    if options.site is not None:
-        ensure_compiled(lambda text: on_progress(0.0, text), FLIGHT, SITE)
+    setup = prepare(options, compiling(options, on_progress))
     return fly_setup(
-        prepare(options), options, stop_requested=stop_requested, on_progress=on_progress, report_wanted=report_wanted
+        setup, options, stop_requested=stop_requested, on_progress=on_progress, report_wanted=report_wanted
     )
+
+
+def compiling(options: FlyOptions, on_progress: Callable[[float, str], None]) -> Callable[[], None]:
+    """What compiles all that a flight needs, elsewhere: a process that has run the compiler flies more slowly."""
+    parts = (FLIGHT, *[SITE] * (options.site is not None), *[JSBSIM] * (options.plant == JSBSIM))
+    return partial(ensure_compiled, lambda text: on_progress(0.0, text), *parts)
 
 
 def fly_setup(
@@ -303,8 +312,6 @@ def fly_setup(
 
     `at_end` is called after the flight, with its log still open.
     """
-    parts = (FLIGHT, JSBSIM) if setup.plant == JSBSIM else (FLIGHT,)
-    ensure_compiled(lambda text: on_progress(0.0, text), *parts)
     if planner is not None:
         setup = replace(setup, flight=setup.flight.with_more({"planner": type(planner).__name__}))
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)

@@ -22,8 +22,7 @@ import numpy as np
 
 from flightstack.cli import files
 from flightstack.cli.column import Column
-from flightstack.cli.compiled import ensure_compiled
-from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, prepare, warm_up_all
+from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, compiling, prepare, warm_up_all
 from flightstack.cli.hil import DEFAULT_SENSORS, DEFAULT_VEHICLE, HIL_PORT, HilSession
 from flightstack.cli.live_view import shown_live
 from flightstack.cli.result import FlightResult, LoopTiming, Place, TrackingScore, relative
@@ -216,7 +215,7 @@ def fly_behind_px4(
     options = replace(
         options, vehicle=options.vehicle or DEFAULT_VEHICLE, sensors=options.sensors or DEFAULT_SENSORS, realtime=True
     )
-    setup = prepare(options)
+    setup = prepare(options, compiling(options, on_progress))
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
     options = replace(options, log=options.log or out / "flight.mcap")
     instance = options.hil_port - HIL_PORT
@@ -224,7 +223,6 @@ def fly_behind_px4(
         closing(TcpServer.bind(HOST, options.hil_port)) as server,
         closing(open_address(UdpIn(HOST, OFFBOARD_PORT + instance))) as link,
     ):
-        ensure_compiled(lambda text: on_progress(0.0, text))
         with setup.flight.protection.beside():
             warm_up_all(setup)
             warm_up_lockstep(setup.truth, setup.plant)

@@ -96,8 +96,8 @@ def offboard(
     if options.site is not None:
         site, where = ask_vehicle(options.site, options.connect, options.heartbeat_timeout_s)
         options = replace(options, site=site, where=where)
-        ensure_compiled(lambda text: on_progress(0.0, text), FLIGHT, SITE)
-    prepared = prepare_flight(options)
+    parts = (FLIGHT, *[SITE] * (options.site is not None))
+    prepared = prepare_flight(options, on_read=lambda: ensure_compiled(lambda text: on_progress(0.0, text), *parts))
     if options.dry_run and options.set_params:
         raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
     require_room(parse_address(options.connect))
@@ -109,7 +109,6 @@ def offboard(
             if others := changed(prepared.believed, gains):
                 say(others)
                 prepared = prepare_flight(options, gains)
-        ensure_compiled(lambda text: on_progress(0.0, text))
         with prepared.protection.beside():
             frequent.prepare()
             prepared.warm_up()

@@ -125,10 +125,13 @@ class Prepared:
 Gains = Mapping[str, float] | Callable[[Scenario, Vehicle], Mapping[str, float]]
 
 
-def prepare_flight(options: FlightOptions, gains: Gains = MappingProxyType({})) -> Prepared:
+def prepare_flight(
+    options: FlightOptions, gains: Gains = MappingProxyType({}), on_read: Callable[[], None] = lambda: None
+) -> Prepared:
     """Read and check everything before anything moves; InputError with one line where something is wrong.
 
     gains: what the vehicle has of `[autopilot]`, in place of what its file says; or what tells it of scenario and file.
+    on_read: called when all files are read and before much is calculated, which on a new machine is compiled first.
     """
     scenario, scenario_file = files.load_scenario(options.scenario, options.waypoints)
     if options.duration_s is not None:
@@ -145,6 +148,7 @@ def prepare_flight(options: FlightOptions, gains: Gains = MappingProxyType({})) 
     controller, learner = build(name, model, scenario.limits, learning=options.learning)
     if learned is not None:
         learner = _learner(learned, name, believed, model, options)
+    on_read()
     protection = protect(options, scenario, believed, model, _knows(name, learner), options.grade(scenario))
     if protection.site is not None:
         controller = quieted(controller, protection.site.certificate)
