@@ -221,13 +221,12 @@ def fly_behind_px4(
     instance = options.hil_port - HIL_PORT
     with (
         closing(TcpServer.bind(HOST, options.hil_port)) as server,
-        closing(open_address(UdpIn(HOST, OFFBOARD_PORT + instance))) as link,
+        closing(open_address(UdpIn(HOST, OFFBOARD_PORT + instance))) as link,setup.flight.protection.beside()
     ):
-        with setup.flight.protection.beside():
-            warm_up_all(setup)
-            warm_up_lockstep(setup.truth, setup.plant)
-            _wait_for_px4(server, options.hil_port, stop_requested, on_progress)
-            result = _flown(setup, options, (server, link), stop_requested, on_progress)
+        warm_up_all(setup)
+        warm_up_lockstep(setup.truth, setup.plant)
+        _wait_for_px4(server, options.hil_port, stop_requested, on_progress)
+        result = _flown(setup, options, (server, link), stop_requested, on_progress)
     if report_wanted(result):
         assert options.log is not None
         files.write_flight_report(options.log, out / "report.html", result)
