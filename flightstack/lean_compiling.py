@@ -1,4 +1,4 @@
-"""The project's functions are compiled without what nobody uses: 63 s of processor time in place of 44 for a flight.
+"""The project's functions are compiled without what nobody uses (decision 13).
 
 A function that only compiled callers call is linked into each of them as intermediate code and optimised there.  numba
 optimises it by itself first and makes machine code of it all the same, which nobody ever runs.  And to word what is

@@ -221,7 +221,8 @@ def fly_behind_px4(
     instance = options.hil_port - HIL_PORT
     with (
         closing(TcpServer.bind(HOST, options.hil_port)) as server,
-        closing(open_address(UdpIn(HOST, OFFBOARD_PORT + instance))) as link,setup.flight.protection.beside()
+        closing(open_address(UdpIn(HOST, OFFBOARD_PORT + instance))) as link,
+        setup.flight.protection.beside(),
     ):
         warm_up_all(setup)
         warm_up_lockstep(setup.truth, setup.plant)
