@@ -18,7 +18,8 @@ import numpy as np
 
 from flightstack.cli import files
 from flightstack.cli.certify import EXPLORE_S
-from flightstack.cli.flight import FlyOptions, Setup, compiling, fly_setup, prepare
+from flightstack.cli.compiled import compiled_first
+from flightstack.cli.flight import FlyOptions, Setup, fly_setup, prepare
 from flightstack.cli.result import FlightResult
 from flightstack.cli.site import TimedSiteFilter
 from flightstack.cli.site_track import height_to_fly_m
@@ -209,7 +210,7 @@ def certify_site(
     faster."""
     if options.certificate is not None or not options.learning:
         raise InputError("certify --site learns from the prior on: leave out --certificate and --no-learning")
-    setup = prepare(options, compiling(options, on_progress))
+    setup = prepare(options, compiled_first(on_progress, options.site, options.plant))
     certify = _Certify(setup, options)
     planner = FlownSpeeds(certify.timed)
     if explores:

@@ -57,6 +57,14 @@ def ensure_compiled(say: Callable[[str], None], *parts: str) -> None:
             child.kill()
 
 
+def compiled_first(
+    on_progress: Callable[[float, str], None], site: Path | None, plant: str = "native"
+) -> Callable[[], None]:
+    """What compiles all that a flight needs, elsewhere: a process that has run the compiler flies more slowly."""
+    parts = (FLIGHT, *[SITE] * (site is not None), *[JSBSIM] * (plant == JSBSIM))
+    return lambda: ensure_compiled(lambda text: on_progress(0.0, text), *parts)
+
+
 def _compiling(*parts: str) -> subprocess.Popen[str]:
     """A process that compiles; what it prints can be read."""
     return subprocess.Popen(

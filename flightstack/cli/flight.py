@@ -11,11 +11,10 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 from flightstack.autopilot import autopilot_of
 from flightstack.cli import files
-from flightstack.cli.compiled import FLIGHT, JSBSIM, SITE, ensure_compiled
+from flightstack.cli.compiled import JSBSIM, compiled_first
 from flightstack.cli.filed import with_filed
 from flightstack.cli.home import HOME, Home
 from flightstack.cli.live_view import shown_live
@@ -286,16 +285,10 @@ def fly(
     """
     scenario, file = files.load_scenario(options.scenario, options.waypoints)
     options = with_filed(options, scenario.flight, str(file.path))
-    setup = prepare(options, compiling(options, on_progress))
+    setup = prepare(options, compiled_first(on_progress, options.site, options.plant))
     return fly_setup(
         setup, options, stop_requested=stop_requested, on_progress=on_progress, report_wanted=report_wanted
     )
-
-
-def compiling(options: FlyOptions, on_progress: Callable[[float, str], None]) -> Callable[[], None]:
-    """What compiles all that a flight needs, elsewhere: a process that has run the compiler flies more slowly."""
-    parts = (FLIGHT, *[SITE] * (options.site is not None), *[JSBSIM] * (options.plant == JSBSIM))
-    return partial(ensure_compiled, lambda text: on_progress(0.0, text), *parts)
 
 
 def fly_setup(

@@ -22,7 +22,8 @@ import numpy as np
 
 from flightstack.cli import files
 from flightstack.cli.column import Column
-from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, compiling, prepare, warm_up_all
+from flightstack.cli.compiled import compiled_first
+from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, prepare, warm_up_all
 from flightstack.cli.hil import DEFAULT_SENSORS, DEFAULT_VEHICLE, HIL_PORT, HilSession
 from flightstack.cli.live_view import shown_live
 from flightstack.cli.result import FlightResult, LoopTiming, Place, TrackingScore, relative
@@ -215,7 +216,7 @@ def fly_behind_px4(
     options = replace(
         options, vehicle=options.vehicle or DEFAULT_VEHICLE, sensors=options.sensors or DEFAULT_SENSORS, realtime=True
     )
-    setup = prepare(options, compiling(options, on_progress))
+    setup = prepare(options, compiled_first(on_progress, options.site, options.plant))
     out = options.out or files.new_run_folder(setup.flight.scenario.name, options.seed)
     options = replace(options, log=options.log or out / "flight.mcap")
     instance = options.hil_port - HIL_PORT

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flightstack.cli import files
-from flightstack.cli.compiled import FLIGHT, SITE, ensure_compiled
+from flightstack.cli.compiled import compiled_first
 from flightstack.cli.console import say
 from flightstack.cli.estimate_gate import EstimateGate
 from flightstack.cli.inspection import Inspector
@@ -96,8 +96,7 @@ def offboard(
     if options.site is not None:
         site, where = ask_vehicle(options.site, options.connect, options.heartbeat_timeout_s)
         options = replace(options, site=site, where=where)
-    parts = (FLIGHT, *[SITE] * (options.site is not None))
-    prepared = prepare_flight(options, on_read=lambda: ensure_compiled(lambda text: on_progress(0.0, text), *parts))
+    prepared = prepare_flight(options, on_read=compiled_first(on_progress, options.site))
     if options.dry_run and options.set_params:
         raise InputError("--dry-run changes nothing on the vehicle: leave out --set-params")
     require_room(parse_address(options.connect))

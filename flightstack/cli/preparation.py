@@ -133,12 +133,7 @@ def prepare_flight(
     gains: what the vehicle has of `[autopilot]`, in place of what its file says; or what tells it of scenario and file.
     on_read: called when all files are read and before much is calculated, which on a new machine is compiled first.
     """
-    scenario, scenario_file = files.load_scenario(options.scenario, options.waypoints)
-    if options.duration_s is not None:
-        scenario = scenario.with_duration(options.duration_s)
-    require_run_up(scenario)
-    if options.site is not None:
-        scenario = replace(scenario, limits=envelope(scenario.limits, load_site(options.site, options.place)))
+    scenario, scenario_file = _scenario(options)
     filed, vehicle_file = files.load_vehicle(options.vehicle)
     believed = tuned(filed, gains(scenario, filed) if callable(gains) else gains)
     if believed is not filed:
@@ -189,6 +184,17 @@ def prepare_flight(
         governor=Governor(believed) if protection.filter.enabled else None,
     )
     return Prepared(scenario, believed, stack, protection, settings, carried, options.log_wire)
+
+
+def _scenario(options: FlightOptions) -> tuple[Scenario, files.TextFile]:
+    """The scenario as it is to be flown, within its site, and its file."""
+    scenario, file = files.load_scenario(options.scenario, options.waypoints)
+    if options.duration_s is not None:
+        scenario = scenario.with_duration(options.duration_s)
+    require_run_up(scenario)
+    if options.site is not None:
+        scenario = replace(scenario, limits=envelope(scenario.limits, load_site(options.site, options.place)))
+    return scenario, file
 
 
 def _knows(controller: str, learner: Learner) -> str:

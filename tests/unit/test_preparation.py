@@ -68,8 +68,7 @@ def test_a_new_machine_compiles_before_anything_is_calculated_and_after_the_file
     def search(*args: Any) -> None:
         raise Searched
 
-    for module in ("flight", "offboard"):
-        monkeypatch.setattr(f"flightstack.cli.{module}.ensure_compiled", lambda say, *parts: asked.append(parts))
+    monkeypatch.setattr("flightstack.cli.compiled.ensure_compiled", lambda say, *parts: asked.append(parts))
     monkeypatch.setattr("flightstack.cli.preparation.protect", search)
     monkeypatch.setattr("flightstack.cli.offboard.ask_vehicle", lambda site, connect, wait_s: (site, (47.0, 8.0)))
     field = tmp_path / "field.toml"
