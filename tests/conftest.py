@@ -27,19 +27,20 @@ settings.register_profile("any machine", suppress_health_check=[HealthCheck.too_
 settings.load_profile("any machine")  # how soon examples are drawn is the machine's business
 
 LONGEST = (
-    "unit/test_stopping_certificate.py", "loopback/test_fly.py", "unit/test_gap_gusts.py", "attack/test_fence.py",
-    "loopback/test_provenance.py", "loopback/test_cli.py", "unit/test_gap_held.py", "loopback/test_replay.py",
-    "unit/test_gap_name_forces.py", "loopback/test_fault_flights.py", "loopback/test_shield_process.py",
-    "client/test_mavsdk.py", "loopback/test_campaign.py", "loopback/test_before_flight.py",
-    "loopback/test_barrier_flights.py", "loopback/test_gap_flights.py", "unit/test_gap_estimator_bias.py",
-    "loopback/test_vehicle_gains.py", "loopback/test_px4_hil.py", "loopback/test_site_flight.py",
-    "unit/test_gap_ranges.py", "loopback/test_dead_companion.py", "unit/test_gap_name_vehicle.py",
-    "unit/test_gap_voltage.py", "unit/test_shield_router.py", "testkit/test_examples.py",
-    "loopback/test_dead_man_process.py", "unit/test_certificate_check.py", "unit/test_campaign_cluster.py",
-    "loopback/test_site_sensors.py", "loopback/test_set_params.py", "unit/test_vehicle_fit.py",
-    "unit/test_certifier.py", "unit/test_safety_filter.py", "attack/test_dither.py",
+    "loopback/test_site_learned.py", "loopback/test_cli.py", "unit/test_stopping_certificate.py",
+    "loopback/test_fly.py", "attack/test_fence.py", "unit/test_gap_gusts.py", "loopback/test_provenance.py",
+    "loopback/test_shield_process.py", "loopback/test_before_flight.py", "unit/test_gap_motors.py",
+    "loopback/test_campaign.py", "loopback/test_dead_man_process.py", "unit/test_gap_held.py",
+    "loopback/test_set_params.py", "unit/test_gap_trim.py", "unit/test_gap_ranges.py", "client/test_mavsdk.py",
+    "unit/test_campaign_cluster.py", "loopback/test_barrier_flights.py", "loopback/test_appointed_certificates.py",
+    "unit/test_gap_voltage.py", "loopback/test_vehicle_gains.py", "loopback/test_site_sensors.py",
+    "unit/test_gap_loop_noise.py", "unit/test_gap_estimator_bias.py", "loopback/test_site_flight.py",
+    "loopback/test_fault_flights.py", "unit/test_gap_name_vehicle.py", "loopback/test_replay.py",
+    "testkit/test_examples.py", "loopback/test_gap_flights.py", "loopback/test_dead_companion.py",
+    "unit/test_certificate_check.py", "unit/test_certifier.py", "unit/test_vehicle_fit.py",
+    "unit/test_shield_router.py", "loopback/test_px4_hil.py",
 )  # fmt: skip
-"""Files of 20 s and more, about the longest first: the processes end together where the last files are short."""
+"""Files of 11 s and more, about the longest first: the processes end together where the last files are short."""
 IN_TWO_PROCESSES = "loopback/test_reproduce_quick.py"
 """Uses both processors by itself: the very last, when no other file is left."""
 
