@@ -55,7 +55,7 @@ def _residual(vehicle: Vehicle, samples: Samples) -> Residual:
         noise[6:] = np.std(y[flight.usable, 6:], axis=0)
     for array in (y, noise):
         array.setflags(write=False)
-    return Residual(y, noise, np.full(COLUMNS, 0.5 / flight.cutoff_hz))
+    return Residual(y, noise)
 
 
 def sensor_noise(samples: Samples) -> F64:

@@ -157,13 +157,11 @@ class Residual:
     """One-step disagreement of one flight: measured minus simulated, both through the same low pass.
 
     y (N, 12) in the order of SIGNALS + KINEMATICS, NaN columns where a channel can't be had and NaN rows where the
-    samples are not usable; noise (12,) expected standard deviation of y from the sensors alone; correlation_s (12,)
-    how long y's noise remembers (for effective sample counts).
+    samples are not usable; noise (12,) expected standard deviation of y from the sensors alone.
     """
 
     y: F64
     noise: F64
-    correlation_s: F64
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,11 +96,6 @@ class Evidence:
         """Whether as many points are chosen at the same places."""
         return self.capacity == other.capacity and np.array_equal(self.places, other.places)
 
-    def certificate_set(self, count: int) -> tuple[F64, F64]:
-        """Places (N, D) and values (N, P) of `count` pooled points that reach as far as all of them."""
-        chosen = self.chosen(count)
-        return self.places[chosen], self.values[chosen]
-
     def pooled(self, newest: int = _POOL) -> tuple[F64, F64]:
         """Places (N, D) and values (N, P) of the newest pooled points, the oldest of them first."""
         return self.places[-newest:], self.values[-newest:]

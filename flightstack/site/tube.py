@@ -70,8 +70,6 @@ class Tube(NamedTuple):
     """(n,) bound of the position's error at STEP_S k; the last holds from then on."""
     demand_mps2: float
     """Greatest acceleration that the feedback asks for."""
-    rate_mps: float
-    """Greatest error of velocity."""
 
 
 def across(pole_ps: float, lags_s: tuple[float, float], doubts: LoopBounds) -> Tube | None:
@@ -138,6 +136,5 @@ def _tube(gains: Gains, matrix: F64, demand: F64, doubts: LoopBounds) -> Tube | 
         highest: F64 = np.maximum.accumulate(grown @ sizes + np.abs(row @ answers @ begun) @ started)
         return highest
 
-    place, rate = np.eye(order)[0], np.eye(order)[1]
     asked = float(bound(demand)[-1]) + demand[0] * doubts.eps_p_m + demand[1] * doubts.eps_v_mps
-    return Tube(gains, bound(place), float(asked), float(bound(rate)[-1]))
+    return Tube(gains, bound(np.eye(order)[0]), float(asked))

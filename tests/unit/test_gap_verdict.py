@@ -117,7 +117,7 @@ def hovers_until(moves_s: float) -> tuple[Samples, pooled.compare.Residual]:
     y = np.ones((len(t_s), 12))
     y[t_s >= moves_s, 0] = 5.0
     flight = cast(Samples, SimpleNamespace(t_s=t_s, valid=np.ones(len(t_s), bool)))
-    return flight, pooled.compare.Residual(y, np.ones(12), np.ones(12))
+    return flight, pooled.compare.Residual(y, np.ones(12))
 
 
 @pytest.mark.parametrize("moves_s", [0.0, 21.0, 24.0])

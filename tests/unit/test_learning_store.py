@@ -8,7 +8,7 @@ import pytest
 from flightstack.gp import RecursiveGP, SquaredExponential, spread
 from flightstack.gp.relevance import Spread
 from flightstack.learning.priors import StorePrior
-from flightstack.learning.store import Store
+from flightstack.learning.store import Evidence, Store
 from flightstack.types import F64
 
 PRIOR = StorePrior(SquaredExponential(1.0, (1.0, 1.0)), 0.01)
@@ -28,9 +28,15 @@ def filled(count: int = 200, capacity: int = 40) -> Store:
     return store
 
 
+def certificate_set(evidence: Evidence, count: int) -> tuple[F64, F64]:
+    """Places and values of those pooled points that a certificate is made from."""
+    chosen = evidence.chosen(count)
+    return evidence.places[chosen], evidence.values[chosen]
+
+
 def certificate(store: Store, count: int) -> RecursiveGP:
     gp = RecursiveGP(PRIOR.kernel, PRIOR.noise_var, input_dim=2, output_dim=1, capacity=max(count, 1))
-    x, y = store.evidence().certificate_set(count)
+    x, y = certificate_set(store.evidence(), count)
     if len(x):
         gp.add(x, y)
     return gp
@@ -50,7 +56,7 @@ def test_a_certificate_set_is_of_what_was_taken() -> None:
     store = filled()
     places, values = store.evidence().pooled()
     held = {(*x, *y) for x, y in zip(places.tolist(), values.tolist(), strict=True)}
-    x, y = store.evidence().certificate_set(25)
+    x, y = certificate_set(store.evidence(), 25)
     assert {(*a, *b) for a, b in zip(x.tolist(), y.tolist(), strict=True)} <= held
     np.testing.assert_array_equal(store.evidence().pooled(3)[0], path(200)[-3:])
 
@@ -66,7 +72,7 @@ def test_what_was_seen_once_far_out_is_not_forgotten_however_long_it_hovers_afte
     assert len(places) <= 2000
     for ends in (np.min, np.max):
         np.testing.assert_array_equal(ends(places, axis=0), ends(near, axis=0))
-        np.testing.assert_array_equal(ends(store.evidence().certificate_set(100)[0], axis=0), ends(near, axis=0))
+        np.testing.assert_array_equal(ends(certificate_set(store.evidence(), 100)[0], axis=0), ends(near, axis=0))
     np.testing.assert_array_equal(
         store.evidence().pooled(400)[0], near[-400:], err_msg="the newest are all there, in their order"
     )
@@ -91,7 +97,7 @@ def test_a_full_pool_is_thinned_a_little_with_every_point(monkeypatch: pytest.Mo
 
 def test_learning_on_does_not_change_a_certificate_set() -> None:
     store = filled()
-    x, y = store.evidence().certificate_set(25)
+    x, y = certificate_set(store.evidence(), 25)
     before = x.copy(), y.copy()
     for place in path(60):
         store.take(place + 0.3, np.array([5.0]))
@@ -102,13 +108,13 @@ def test_learning_on_does_not_change_a_certificate_set() -> None:
 def test_evidence_is_as_of_its_time() -> None:
     store = filled()
     then, excess = store.evidence(), store.excess.copy()
-    x, y = then.certificate_set(25)
+    x, y = certificate_set(then, 25)
     for place in path(60):
         store.take(place + 0.3, np.array([5.0]))
     store.hear(2.0)
     assert store.excess[0] > 10.0 * excess[0]
     np.testing.assert_array_equal(then.excess, excess)
-    for now, before in zip(then.certificate_set(25), (x, y), strict=True):
+    for now, before in zip(certificate_set(then, 25), (x, y), strict=True):
         np.testing.assert_array_equal(now, before)
     assert then.noise_var == PRIOR.noise_var
 
@@ -118,12 +124,12 @@ def test_after_a_change_the_pool_holds_only_what_came_since() -> None:
     store.renew(np.array([2.0]), 3)
     for x in path(3):
         store.take(x, np.array([2.0]))
-    assert len(store.evidence().certificate_set(100)[0]) == 3
+    assert len(certificate_set(store.evidence(), 100)[0]) == 3
 
 
 def test_an_empty_pool_gives_no_points() -> None:
     store = Store(PRIOR, inputs=2, outputs=1, capacity=10, floor=0.01)
-    x, y = store.evidence().certificate_set(10)
+    x, y = certificate_set(store.evidence(), 10)
     assert x.shape == (0, 2)
     assert y.shape == (0, 1)
 
