@@ -11,6 +11,7 @@ compiled callers, without.  Most have callers of one kind only, and a wrapper ta
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import importlib
 import importlib.util
@@ -38,6 +39,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGES = ("flightstack", "flightstack_sim", "flightstack_logs", "mavlink_bridge", "flightstack_paper", "benchmarks")
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n#]*)|import\s+([\w., ]+))", re.MULTILINE)
+_NOT_KEPT = "flightstack-numba-"
 _KEEP_S = 7 * 86_400.0  # a folder that no process has used for so long is deleted
 
 
@@ -150,7 +152,10 @@ def code_folder(module: str) -> Path | None:
 
 @cache
 def cache_folder() -> Path:
-    """Where compiled functions are kept: NUMBA_CACHE_DIR, else the user's cache, else a temporary folder."""
+    """Where compiled functions are kept: NUMBA_CACHE_DIR, else the user's cache, else a temporary folder.
+
+    Where none can be written it is a folder of this process's own, which goes with it.
+    """
     given = _numba_config.CACHE_DIR
     candidates = (Path.home() / ".cache" / "flightstack", Path(tempfile.gettempdir()) / "flightstack-cache")
     for folder in (Path(given),) if given else candidates:
@@ -161,7 +166,20 @@ def cache_folder() -> Path:
         except OSError:
             continue
         return folder
-    return Path(tempfile.mkdtemp(prefix="flightstack-numba-"))
+    folder = Path(tempfile.mkdtemp(prefix=_NOT_KEPT))
+    atexit.register(_delete, folder, os.getpid())
+    return folder
+
+
+def is_kept() -> bool:
+    """Whether what is compiled is found again by the next process; else no folder for it could be written."""
+    return not cache_folder().name.startswith(_NOT_KEPT)
+
+
+def _delete(folder: Path, owner: int) -> None:
+    """When a process ends: its own folder, and not the one of a process that it was forked from."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @cache

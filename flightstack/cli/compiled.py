@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO, Any
 
-from flightstack.jit import cache_folder, machine_key, sources_key
+from flightstack.jit import cache_folder, is_kept, machine_key, sources_key
 from flightstack.quick_compiling import locked, quick_compiling
 from flightstack.types import InputError
 from mavlink_bridge.transport.machine import stand_back
@@ -46,7 +46,11 @@ def ensure_compiled(say: Callable[[str], None], *parts: str) -> None:
     missing = [part for part in parts or (FLIGHT,) if not compiled(part)]
     if not missing:
         return
-    say("compiling (once on a new machine)")
+    say(
+        "compiling (once on a new machine)"
+        if is_kept()
+        else "compiling (at each start: no folder can be written for it)"
+    )
     with _compiling(*missing) as child:
         try:
             assert child.stdout is not None
@@ -69,7 +73,11 @@ def _compiling(*parts: str) -> subprocess.Popen[str]:
     """A process that compiles; what it prints can be read."""
     return subprocess.Popen(
         [sys.executable, "-P", "-m", "flightstack.cli.compiled", *parts],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            "NUMBA_CACHE_DIR": str(cache_folder()),  # where none can be kept it is this process's own
+        },
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
