@@ -150,6 +150,11 @@ def code_folder(module: str) -> Path | None:
     return folder if _is_ready(folder) else None
 
 
+def has_code(module: str) -> bool:
+    """Whether functions of a module of the project have been compiled here as they stand."""
+    return any((cache_folder() / f"code-{_closure_key(module)}").glob("*.nbi"))
+
+
 @cache
 def cache_folder() -> Path:
     """Where compiled functions are kept: NUMBA_CACHE_DIR, else the user's cache, else a temporary folder.

@@ -27,9 +27,10 @@ from mavlink_bridge.transport.machine import stand_back
 SIMULATOR, JSBSIM, FLIGHT, SITE, CERTIFY, GAP = "simulator", "jsbsim", "flight", "site", "certify", "gap"
 PARTS = (SIMULATOR, JSBSIM, FLIGHT, SITE, CERTIFY, GAP)
 """The simulated vehicle on the native plant; on JSBSim; the one on the native plant and the companion; what `--site`
-and the shield need beside those; what an exploration does; what `gap` simulates with."""
-_COMPANION = "companion"
-"""What a companion calls, and the link, but for what the other process compiles: half of a flight's part."""
+and the shield need beside those; what an exploration does; what `gap` calls, the simulated vehicle included."""
+_COMPANION, _SIMULATED = _HALVES = "companion", "simulated"
+"""What a second process compiles meanwhile: of a flight's part what a companion calls, and the link, but for what the
+first compiles; of the gap's the simulator."""
 _SCENARIOS = ("paper-tracking", "minimum-snap")
 _EVERY_S = 5.0
 _FIELD = """schema = "flightstack.site/1"
@@ -117,9 +118,14 @@ def _tell_progress() -> None:
 
 def compile_part(part: str) -> None:
     """Compile everything that a part calls, in this process."""
-    alone = {SITE: _compile_site, CERTIFY: _compile_certify, GAP: _compile_gap}
+    alone = {SITE: _compile_site, CERTIFY: _compile_certify}
     if part in alone:
         alone[part]()
+        return
+    if part == GAP:
+        with _compiling(_SIMULATED) as other:
+            _compile_gap()
+            other.wait()
         return
     if part in (FLIGHT, _COMPANION):
         from flightstack.cli.flight import FlyOptions, prepare, warm_up_all
@@ -143,7 +149,7 @@ def compile_part(part: str) -> None:
 
     vehicle, _ = load_vehicle(None)
     with suppress(InputError):  # not every machine has JSBSim
-        warm_up(vehicle, load_grade("mocap"), "native" if part == SIMULATOR else part)
+        warm_up(vehicle, load_grade("mocap"), part if part == JSBSIM else "native")
 
 
 def _compile_site() -> None:
@@ -189,6 +195,7 @@ def _compile_gap() -> None:
 
     from flightstack.gap import evaluated, filters, rotor_state
     from flightstack.gap.naming.whitening import whiten
+    from flightstack.model import thrust_to_norm
 
     row, table, block = (types.Array(types.float64, dimensions, "C") for dimensions in (1, 2, 3))
     by_column, read_only = types.Array(types.float64, 2, "F"), types.Array(types.float64, 3, "C", readonly=True)
@@ -203,6 +210,7 @@ def _compile_gap() -> None:
         (filters._recursion, row, row, table, types.float64),
         (rotor_state.run_rotors, row, table, number, row, table),
         (rotor_state.run_load, row, table, table, types.boolean, row, table, table),
+        (thrust_to_norm, *(types.float64,) * 3),
     )
     for function, *kinds in every:
         function.compile(tuple(kinds))
@@ -212,7 +220,7 @@ def main(parts: list[str]) -> None:
     """Compile these parts (none: all that a flight calls), then leave a mark in the cache for each."""
     stand_back()  # two processes that compile in real time leave nobody a processor for a minute
     for part in parts or [FLIGHT]:
-        if part == _COMPANION:
+        if part in _HALVES:
             _end_with(sys.stdin)
             with quick_compiling():
                 compile_part(part)

@@ -35,12 +35,17 @@ def find_gap(
 ) -> GapResult:
     """Run the workflow and write its three files into `options.out`; InputError, one line, where that can't be done."""
     from flightstack.gap.workflow import analyse
+    from flightstack.jit import has_code
 
     vehicle, file = files.load_vehicle(options.vehicle)
     for path in (*options.logs, *options.holdout):
         if not path.is_file():
             raise InputError(f"log {path}: there is no such file; check the path")
     _make_folder(options.out)
+    if not has_code("flightstack.gap.evaluated"):  # asked like this it costs nothing: the folder has to be found anyway
+        from flightstack.cli.compiled import GAP, ensure_compiled
+
+        ensure_compiled(lambda text: on_progress(0.0, text), GAP)
     result = analyse(
         options.logs,
         vehicle,
