@@ -10,11 +10,12 @@ import numpy as np
 from flightstack.barrier.condition import Setting
 from flightstack.barrier.confidence import BLOCK, colour
 from flightstack.barrier.estimate_bounds import BENCH
+from flightstack.barrier.flown import least_h
 from flightstack.barrier.initial import DOWN
 from flightstack.barrier.premise_watch import watched
 from flightstack.barrier.premises import ANY_BATTERY_V, Premises
 from flightstack.barrier.records import Authority, AxisCertificate, Budget, Certificate, Response
-from flightstack.barrier.shapes import Quadratic
+from flightstack.barrier.shapes import Quadratic, values_at
 from flightstack.consistency import EstimateWatch
 from flightstack.error_statistics import ErrorStatistics
 from flightstack.mission import plan
@@ -67,6 +68,8 @@ def warm_up(stack: Stack, scenario: Scenario) -> TickRecord:
     if stack.filter.enabled:
         ticks = _FILTER_TICKS
         held = _certificate(setpoint.pos_ned_m)
+        least_h(held, np.zeros((1, 6)), None)  # what a flight is told by that has long been inside, and its score
+        values_at(held.axes[DOWN].barrier.rows, np.zeros((1, 2)))
         state = state._replace(
             filter=stack.filter.adopt(state.filter, held),
             watch=watched(held.version, _PREMISES, held.axes[DOWN].authority.table),

@@ -26,7 +26,7 @@ from flightstack.cli import files
 from flightstack.cli.barrier_score import WatchedCertifier
 from flightstack.cli.certified import DOWN, CertifiedFigures, figures_of
 from flightstack.cli.certified_page import page_of
-from flightstack.cli.compiled import compiled_first
+from flightstack.cli.compiled import CERTIFY, compiled_first
 from flightstack.cli.flight import FlyOptions, Setup, fly_setup, prepare
 from flightstack.cli.protection import governor_for
 from flightstack.cli.result import FlightResult
@@ -212,7 +212,7 @@ def certify(
     config: ExploreConfig | None = None,
 ) -> CertifyResult:
     """Explore, certify, write the files; InputError before anything moves, else a result."""
-    setup = prepare_certify(options, on_read=compiled_first(on_progress, options.site, options.plant))
+    setup = prepare_certify(options, on_read=compiled_first(on_progress, options.site, options.plant, CERTIFY))
     if config is None:
         told = setup.flight.with_more({EXPLORE_S: f"{setup.flight.scenario.duration_s:.12g}"})
         setup = replace(setup, flight=told)

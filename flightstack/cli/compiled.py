@@ -63,10 +63,13 @@ def ensure_compiled(say: Callable[[str], None], *parts: str) -> None:
 
 
 def compiled_first(
-    on_progress: Callable[[float, str], None], site: Path | None, plant: str = "native"
+    on_progress: Callable[[float, str], None], site: Path | None, plant: str = "native", *more: str
 ) -> Callable[[], None]:
-    """What compiles all that a flight needs, elsewhere: a process that has run the compiler flies more slowly."""
-    parts = (FLIGHT, *[SITE] * (site is not None), *[JSBSIM] * (plant == JSBSIM))
+    """What compiles all that a flight needs, elsewhere: a process that has run the compiler flies more slowly.
+
+    `more`: parts that it needs beside.
+    """
+    parts = (FLIGHT, *[SITE] * (site is not None), *[JSBSIM] * (plant == JSBSIM), *more)
     return lambda: ensure_compiled(lambda text: on_progress(0.0, text), *parts)
 
 
@@ -165,7 +168,9 @@ def _compile_site() -> None:
 def _compile_certify() -> None:
     """Targets and legs of an exploration, and the design that settles it, on an axis with room to spare."""
     import numpy as np
+    from numba.core import types
 
+    from flightstack import arcs
     from flightstack.barrier.condition import Setting
     from flightstack.barrier.design import SafeSet, largest, worst_slice_area
     from flightstack.barrier.records import Authority, AxisCertificate, Response
@@ -187,6 +192,8 @@ def _compile_certify() -> None:
     for family in FAMILIES:
         largest(SafeSet(0.5), axis.setting, authority, response, family=family)
     worst_slice_area(barrier, response, -2.0, 2.0, 0.0)
+    arcs.share_at(0.0)
+    arcs.at.compile((types.Array(types.float64, 2, "C"), types.float64))  # type: ignore[attr-defined]
 
 
 def _compile_gap() -> None:

@@ -29,7 +29,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from flightstack.learning import sampler as s
-from flightstack.learning.learned_row import ASSEMBLE, SLOPE, WEIGHED, calibrated
+from flightstack.learning.learned_row import ASSEMBLE, SLOPE, WEIGHED
 from flightstack.learning.priors import Priors, StorePrior, default_priors, state_only
 from flightstack.learning.sampler import Sampler
 from flightstack.learning.store import Evidence, Point, Relevance, Store
@@ -174,10 +174,6 @@ class LearnerState:
         """What a certificate rests on, as of now; learning on does not change it."""
         return Learnt(self.lateral.evidence(), self.vertical.evidence())
 
-    def calibrate(self) -> None:
-        """Bring `variance` in line with the posterior and what the stores have in excess of it."""
-        calibrated(self.posterior, self.lateral.excess, self.vertical.excess, self.variance)
-
     def weigh(self, most: float) -> bool:
         """Both calibrated variances for this posterior; whether the sample may be learned from (`fits`)."""
         lateral, vertical = self.lateral, self.vertical
@@ -231,7 +227,7 @@ class GpLearner:
             recovering = measurement.t_us - state.changed_us < _RECOVERY_US
             allowed = state.variance if recovering else state.calm_variance
             if self._learn(state, state.expected, allowed, measurement.t_us):
-                state.calibrate()
+                state.weigh(config.residual_max_mps2)
         elif sample[s.S_REPEATED] == 0.0:  # a tick between two samples takes nothing from the window
             state.refused += 1
             state.watch.reset()

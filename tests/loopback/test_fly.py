@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -245,7 +246,7 @@ def test_a_truth_file_replaces_the_scenarios_truth_and_the_controller_never_sees
 
 
 COMPILED_IN_FLIGHT = """
-import gc, sys
+import gc, json, sys
 from pathlib import Path
 from numba.core.dispatcher import Dispatcher
 from flightstack.cli import flight
@@ -256,8 +257,9 @@ def known():
 
 prepared, before = flight.warm_up_all, {}
 flight.warm_up_all = lambda setup: (prepared(setup), before.update(known()))
-site = Path(sys.argv[4]) if sys.argv[4:] else None
-options = flight.FlyOptions(scenario=sys.argv[1], duration_s=float(sys.argv[3]), out=Path(sys.argv[2]), site=site)
+more = json.loads(sys.argv[4])
+more |= {"site": Path(more["site"])} if "site" in more else {}
+options = flight.FlyOptions(scenario=sys.argv[1], duration_s=float(sys.argv[3]), out=Path(sys.argv[2]), **more)
 assert flight.fly(options, stop_requested=lambda: "").flight_time_s > options.duration_s
 assert before
 changed = [name[0] for name, count in known().items() if count != before.get(name, 0)]
@@ -273,24 +275,28 @@ inside = [[-6.0, -5.0], [2.2, -5.0], [2.2, 5.0], [-6.0, 5.0]]
 
 
 @pytest.mark.parametrize(
-    ("scenario", "duration_s", "site"),
+    ("scenario", "duration_s", "more"),
     [
-        ("paper-tracking", 7.0, ""),
-        ("paper-tracking", 9.0, ""),
-        thorough("minimum-snap", 2.0, ""),
-        ("figure8", 5.0, WALLED),
+        ("paper-tracking", 9.0, {}),
+        ("paper-tracking", 6.0, {"as_published": True}),
+        thorough("payload-drop", 25.0, {}),
+        ("gps-barrier", 8.0, {}),
+        thorough("minimum-snap", 2.0, {}),
+        ("figure8", 5.0, {"site": WALLED}),
     ],
 )
-def test_nothing_is_compiled_in_flight(scenario: str, duration_s: float, site: str, tmp_path: Path) -> None:
+def test_nothing_is_compiled_in_flight(
+    scenario: str, duration_s: float, more: dict[str, object], tmp_path: Path
+) -> None:
     """In a fresh process: every compiled function that the flight calls was called before its clock ran.
 
-    The paper's flight is long enough for the filter to engage under a certificate made in flight; the one in a site is
-    bent along a wall.
+    The paper's flight is long enough for the filter to engage under a certificate made in flight, the one by GPS to
+    ask what it has flown; the one in a site is bent along a wall.
     """
-    command = [sys.executable, "-c", COMPILED_IN_FLIGHT, scenario, str(tmp_path), str(duration_s)]
-    if site:
-        (tmp_path / "site.toml").write_text(site)
-        command.append(str(tmp_path / "site.toml"))
+    if "site" in more:
+        (tmp_path / "site.toml").write_text(str(more["site"]))
+        more = {**more, "site": str(tmp_path / "site.toml")}
+    command = [sys.executable, "-c", COMPILED_IN_FLIGHT, scenario, str(tmp_path), str(duration_s), json.dumps(more)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -90,7 +90,7 @@ def test_a_new_machine_compiles_before_anything_is_calculated_and_after_the_file
     assert not asked
     with pytest.raises(Searched):
         run(None)
-    assert asked == [("flight", *["site"] * site, *["jsbsim"] * ("JSBSim" in verb))]
+    assert asked == [("flight", *["site"] * site, *["jsbsim"] * ("JSBSim" in verb), *["certify"] * (verb == "certify"))]
 
 
 def test_a_gap_compiles_ahead_where_none_of_its_code_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
