@@ -18,14 +18,14 @@ import numpy as np
 
 from flightstack.consistency import JUMP_M, watch_attitude, watch_imu, watch_position
 from flightstack.jit import Entry, njit
-from flightstack.predictor import take_attitude, take_imu, take_motors, take_position
+from flightstack.predictor import Streams, take_attitude, take_imu, take_motors, take_position
 from flightstack.types import F64, U8, Tuple3
 from mavlink_bridge import messages as m
 from mavlink_bridge.codec import Row, Wire
-from mavlink_bridge.command_latency import SENT, compare_report
+from mavlink_bridge.command_latency import SENT, CommandLatency, compare_report
 from mavlink_bridge.compiled_crc import crc
 from mavlink_bridge.framing import HEADER_SIZE, MAGIC_V2
-from mavlink_bridge.vehicle_params import motor_commands
+from mavlink_bridge.vehicle_params import Outputs, motor_commands
 from mavlink_bridge.vehicle_view import VehicleView
 from mavlink_bridge.watchdogs import Watchdogs
 
@@ -251,3 +251,6 @@ def prepare() -> None:
     m.prepare()
     for entry in (_READ, _HEAR, SENT):
         entry.prepare()
+    motors = Outputs().commands((1500,) * 16)  # a report that comes by itself, as by a link that delays, is taken so
+    CommandLatency().reported(0, motors)
+    Streams().motors(0, motors)

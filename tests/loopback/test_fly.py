@@ -282,6 +282,7 @@ inside = [[-6.0, -5.0], [2.2, -5.0], [2.2, 5.0], [-6.0, 5.0]]
         thorough("payload-drop", 25.0, {}),
         ("gps-barrier", 8.0, {}),
         thorough("minimum-snap", 2.0, {}),
+        ("hover", 5.0, {"fault": "link-jitter@3"}),
         ("figure8", 5.0, {"site": WALLED}),
     ],
 )
