@@ -20,7 +20,7 @@ from flightstack.cli.calibration import TimedLearner
 from flightstack.cli.controllers import build
 from flightstack.cli.protection import FULL, NONE, STATE_ONLY, Protection, ProtectionOptions, protect
 from flightstack.cli.quiet import quieted
-from flightstack.cli.recorder import LogObserver, path_of, scene_of
+from flightstack.cli.recorder import LogObserver, path_of, scene_of, write_heard_alone
 from flightstack.cli.site import TimedSiteFilter, envelope, load_site
 from flightstack.cli.vehicle_gains import tuned
 from flightstack.cli.versions import versions
@@ -98,6 +98,7 @@ class Prepared:
         record = warm_up(self.stack, self.scenario)
         with TemporaryDirectory() as folder, closing(FlightLog.open(Path(folder) / "log.mcap", metadata={})) as log:
             log.tick(record)
+            write_heard_alone(log)
 
     def observer(self, log: Recorder, clock: LogClock, *, truth: bool) -> LogObserver:
         """What puts a flight into `log`; `truth`: which has the true vehicle too."""

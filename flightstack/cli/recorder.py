@@ -24,6 +24,7 @@ from flightstack_logs.topics import FILTER_STATUS, MESSAGE, TOPICS
 from mavlink_bridge import messages as m
 from mavlink_bridge.companion import Companion
 from mavlink_bridge.frequent import AT, KINDS, Heard
+from mavlink_bridge.link import MAX_DATAGRAM
 
 _TOPIC_OF: dict[type, str] = {
     m.AttitudeQuaternion: "/vehicle/attitude",
@@ -32,6 +33,14 @@ _TOPIC_OF: dict[type, str] = {
     m.ServoOutputRaw: "/vehicle/motors",
     m.SysStatus: "/vehicle/battery",
 }
+
+
+def write_heard_alone(log: Recorder) -> None:
+    """One message of each kind that comes many times a second, by itself: what writes it is made at the first one."""
+    for kind in KINDS:
+        log.write(_TOPIC_OF[kind], 0, m.BY_EVENT[kind].decode(bytes(MAX_DATAGRAM), 0))
+
+
 _HEARD_AS = {
     number: (
         _TOPIC_OF[kind],

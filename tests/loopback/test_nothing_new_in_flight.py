@@ -17,9 +17,14 @@ from mavlink_bridge.handshake import State
 from tests.thorough import thorough
 
 
-@pytest.mark.parametrize("scenario", ["figure8", thorough("hover")])
-def test_from_offboard_to_the_landing_nothing_is_imported_or_compiled(tmp_path: Path, scenario: str) -> None:
-    options = FlyOptions(scenario=scenario, out=tmp_path, duration_s=5.0)
+@pytest.mark.parametrize(
+    ("scenario", "fault"), [("figure8", None), ("hover", "link-jitter@4"), thorough("hover", "link-loss@4")]
+)
+def test_from_offboard_to_the_landing_nothing_is_imported_or_compiled(
+    tmp_path: Path, scenario: str, fault: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a link that delays, messages come by themselves, and what writes each to the log is Python's own code."""
+    options = FlyOptions(scenario=scenario, out=tmp_path, duration_s=5.0, fault=fault)
     setup = prepare(options)
     warm_up_all(setup)
     log = FlightLog.open(tmp_path / "flight.mcap", metadata={})
@@ -27,13 +32,17 @@ def test_from_offboard_to_the_landing_nothing_is_imported_or_compiled(tmp_path: 
     try:
         while flight.companion.state is not State.OFFBOARD:
             flight.step()
-        before = set(sys.modules)
+        before, made, compiler = set(sys.modules), [], compile
+        monkeypatch.setattr(
+            "builtins.compile", lambda *args, **more: (made.append(args[0]), compiler(*args, **more))[1]
+        )
         with event.install_recorder("numba:compile") as compiled:
             while not flight.companion.done:
                 flight.step()
         assert flight.companion.state is State.LANDED
         assert set(sys.modules) == before
         assert not compiled.buffer
+        assert not made
     finally:
         flight.close()
         log.close()
