@@ -35,8 +35,8 @@ class _Words(Console):
             os.close(nowhere)
 
 
-errors = _Words(stderr=True, highlight=False, soft_wrap=True)
-output = _Words(highlight=False)
+errors = _Words(stderr=True, highlight=False, soft_wrap=True, emoji=False)
+output = _Words(highlight=False, emoji=False)
 _EVERY_S = 10.0
 """Without a terminal progress is told when the phase changes, and so often."""
 
@@ -89,7 +89,7 @@ def _lines(what: Any) -> Iterator[str]:
 
 
 def _plain(what: Any) -> str:
-    return what.plain if isinstance(what, Text) else Text.from_markup(str(what)).plain
+    return what.plain if isinstance(what, Text) else Text.from_markup(str(what), emoji=False).plain
 
 
 @contextmanager

@@ -81,6 +81,23 @@ def test_help_and_typos_load_nothing_that_takes_time(arguments: list[str]) -> No
     assert done.stderr.count("\n") == typo
 
 
+_SAID = """import sys
+from flightstack.cli import terminal
+
+before = set(sys.modules)
+for console in (terminal.output, terminal.errors):
+    console.print("[bold]taken back[/] at 12:car:03, 3 m/s²")
+print(sorted(set(sys.modules) - before))
+"""
+
+
+def test_words_are_said_as_they_stand_and_load_nothing() -> None:
+    """A shield that said what it had done looked for pictures in its words: an import of 12 ms in the air."""
+    done = subprocess.run([sys.executable, "-c", _SAID], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["taken back at 12:car:03, 3 m/s²", "[]"]
+    assert done.stderr.splitlines() == ["taken back at 12:car:03, 3 m/s²"]
+
+
 def test_the_simulator_loads_neither_certificates_nor_logs() -> None:
     """They were half of its imports: a second of processor time at every start."""
     heavy = ("scipy.special", "foxglove", "flightstack.barrier.certifier", "flightstack.certificate_check")
