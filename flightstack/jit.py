@@ -22,6 +22,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache, partial
 from itertools import count
 from pathlib import Path
@@ -266,6 +267,7 @@ def _compiled(function: F, inline: bool, relaxed: bool, nogil: bool = False) -> 
     fastmath = {"reassoc", "contract", "nsz"} if relaxed else False
     options = {"error_model": "numpy", "forceinline": inline, "fastmath": fastmath, "nogil": nogil}
     compiled: Any = numba.njit(cache=True, no_cfunc_wrapper=True, **options)(function)
+    _mend_cache(compiled._cache)
 
     @cache
     def called() -> Any:
@@ -280,6 +282,21 @@ def _compiled(function: F, inline: bool, relaxed: bool, nogil: bool = False) -> 
     compiled.get_call_template = get_call_template
     compiled.get_overload = lambda signature: called().get_overload(signature)
     return compiled  # type: ignore[no-any-return]
+
+
+def _mend_cache(kept: Any) -> None:
+    """What is kept of a function and can't be read (a power cut while it was written) is compiled anew."""
+    load = kept.load_overload
+
+    def load_overload(*signature: Any) -> Any:
+        try:
+            return load(*signature)
+        except Exception:  # of pickle, LLVM or the system: whatever half a file makes of them
+            with suppress(OSError):
+                kept.flush()
+            return None
+
+    kept.load_overload = load_overload
 
 
 _LOOK_EVERY, _LOOK_UP_TO = 32, 4096

@@ -28,7 +28,7 @@ _ENVIRONMENT = "_ZN08NumbaEnv"
 def compile_leanly(packages: tuple[str, ...]) -> None:
     """From now on in this process, for the functions of these packages; other functions are compiled as ever.
 
-    A numba that is built otherwise is left as it is.
+    So with numba 0.61 and 0.68; one that lacks a method that is changed is left as it is.
     """
     with suppress(AttributeError):
         _change_numba(tuple(f"{package}." for package in packages))

@@ -237,6 +237,34 @@ def test_a_cache_that_was_filled_on_another_processor_is_not_taken_for_compiled(
         machine_key.cache_clear()
 
 
+@pytest.mark.parametrize("kind", ["nbc", "nbi"])
+@pytest.mark.parametrize("rest", [0, 100])
+def test_code_that_a_power_cut_left_half_written_is_compiled_anew_and_kept(
+    kind: str, rest: int, tmp_path: Path
+) -> None:
+    """A flight ended before it began, in a traceback of pickle's, and so did each after it."""
+    package = tmp_path / "benchmarks"
+    package.mkdir()
+    for name, text in (("__init__", ""), ("called", _CALLED.format(factor=3.0)), ("caller", _CALLER)):
+        (package / f"{name}.py").write_text(text)
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "code"), "PYTHONPATH": path}
+
+    def run() -> list[Any]:
+        command = [sys.executable, "-P", "-c", "import benchmarks.caller"]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        answer: list[Any] = json.loads(done.stdout)
+        return answer
+
+    assert run() == [4.0, 3.0, True]
+    halved = list((tmp_path / "code").rglob(f"*.{kind}"))
+    assert halved
+    for file in halved:
+        file.write_bytes(file.read_bytes()[:rest])
+    assert run() == [4.0, 3.0, True]
+    assert run() == [4.0, 3.0, False]
+
+
 _UNKEPT = """from flightstack.cli import compiled
 from flightstack.jit import cache_folder
 
