@@ -35,6 +35,7 @@ from numba.core import config as _numba_config
 from numba.core.types import unliteral  # type: ignore[attr-defined]
 
 from flightstack.lean_compiling import compile_leanly
+from flightstack.lean_loading import load_leanly
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -286,15 +287,15 @@ def _compiled(function: F, inline: bool, relaxed: bool, nogil: bool = False) -> 
 
 def _mend_cache(kept: Any) -> None:
     """What is kept of a function and can't be read (a power cut while it was written) is compiled anew."""
-    load = kept.load_overload
+    loads = (load_leanly(kept), kept.load_overload)  # the latter as numba does it, for what the first may lack
 
     def load_overload(*signature: Any) -> Any:
-        try:
-            return load(*signature)
-        except Exception:  # of pickle, LLVM or the system: whatever half a file makes of them
-            with suppress(OSError):
-                kept.flush()
-            return None
+        for load in loads:
+            with suppress(Exception):  # of pickle, LLVM or the system: whatever half a file makes of them
+                return load(*signature)
+        with suppress(OSError):
+            kept.flush()
+        return None
 
     kept.load_overload = load_overload
 

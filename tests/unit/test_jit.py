@@ -265,6 +265,56 @@ def test_code_that_a_power_cut_left_half_written_is_compiled_anew_and_kept(
     assert run() == [4.0, 3.0, False]
 
 
+_LOADED = """import json, sys
+import numpy as np
+from flightstack.jit import njit
+
+
+@njit
+def work(a, b):
+    if len(b) == 1:
+        raise ValueError("one is too few")
+    out = np.zeros(len(b) + 1)
+    out[1:] = np.linalg.solve(a, b)
+    return out, np.sort(out)[0], len(b)
+
+
+out, least, count = work(np.array([[2.0, 0.0], [0.0, -4.0]]), np.ones(2))
+try:
+    work(np.eye(1), np.ones(1))
+except ValueError as error:
+    said = str(error)
+loaded, before = work.stats.cache_hits != {}, "numba.np.arrayobj" in sys.modules
+
+
+@njit
+def later(n):
+    return work(np.eye(n), np.arange(n) + 1.0)[0].sum()
+
+
+print(json.dumps([out.tolist(), least, count, said, loaded, before, later(3)]))
+"""
+
+
+def test_code_is_loaded_without_what_only_compiling_needs_and_more_can_be_compiled_after_it(tmp_path: Path) -> None:
+    """Of the two seconds in which a gap was found a quarter of one went into preparing to compile."""
+    package = tmp_path / "benchmarks"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "kept.py").write_text(_LOADED)
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "code"), "PYTHONPATH": path}
+    command = [sys.executable, "-P", "-c", "import benchmarks.kept"]
+    answers = []
+    for _ in range(2):
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        answers.append(json.loads(done.stdout))
+        for each in (tmp_path / "code").rglob("*later*"):
+            each.unlink()
+    same = [[0.0, 0.5, -0.25], -0.25, 2, "one is too few"]
+    assert answers == [[*same, False, True, 6.0], [*same, True, False, 6.0]]
+
+
 _UNKEPT = """from flightstack.cli import compiled
 from flightstack.jit import cache_folder
 
