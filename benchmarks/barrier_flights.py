@@ -193,7 +193,7 @@ def compared(values: dict[str, Any], seed: int, folder: Path) -> dict[str, Any]:
                 flight.step()
     finally:
         flight.close()
-    region = flight.score.region.summary()
+    region = flight.score.region()
     areas = [sum(axis.barrier.area_m2ps for axis in each.axes if axis.axis == 2) for each in watched.adopted]
     left, engaged = bool(region["violations"]), region["engaged_s"] is not None
     sound = pilot == "sound"

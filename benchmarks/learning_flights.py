@@ -82,7 +82,7 @@ def fly_scored(flight: Flight) -> dict[str, Any]:
     flown, setup, track = _flown(options_of(flight), pilot)
     row: dict[str, Any] = dataclasses.asdict(flight)
     row |= {"completed": flown.companion.completed, "reason": flown.companion.reason}
-    row |= {name: value for name, value in flown.score.tracking.summary().items() if name != "of"}
+    row |= {name: value for name, value in flown.score.tracking().items() if name != "of"}
     row["track_s"] = flown.scenario.duration_s
     row["guards"] = sorted({record.guard for record in track.records} - {""})
     row["saturated"] = float(np.mean([record.thrust_saturated for record in track.records])) if track.records else None
@@ -119,7 +119,7 @@ def _learned_summary(flown: SimulatedFlight, setup: Setup, track: TickTrace) -> 
     }
     events = flown.scenario.events
     if events:
-        positions = np.asarray(flown.score.tracking.distances_m)
+        positions = flown.score.tracked_m()
         summary["change"] = change_summary(
             events[0].time_s, np.asarray(track.times_s), rows, truth, positions[: len(rows)]
         )

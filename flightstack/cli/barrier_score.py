@@ -29,8 +29,9 @@ from flightstack.governor import GovernorLimits
 from flightstack.learning.learner import LearnerState
 from flightstack.model import Model
 from flightstack.region import Region
+from flightstack.rows import F_PREMISE, F_STATUS
 from flightstack.seams import Certifier, SafetyFilter
-from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement
+from flightstack.types import F64, I64, Command, Filtered, FlatOutput, Learned, Measurement
 from flightstack_logs.report.histogram import counts, edges_us
 
 ENGAGE_H = 0.05
@@ -42,10 +43,6 @@ ENGAGED = SOLVED = 2.0
 """From this status on the filter has solved its problem."""
 FALLBACKS = (4.0, 5.0)
 """Statuses of a problem without a solution: infeasible, not solved within the budget."""
-
-
-State = Sequence[float] | F64
-"""Six numbers: position relative to the start, velocity."""
 
 
 _GAP_S = 0.1
@@ -229,10 +226,6 @@ class RegionScore:
     region: Region | None
     """The scenario's; None: that of the certificate in force."""
     certifier: WatchedCertifier | None = None
-    _t_us: Column = field(default_factory=Column)
-    _in_force: Column = field(default_factory=Column)
-    _estimated: Column = field(default_factory=lambda: Column(6))
-    _true: Column = field(default_factory=lambda: Column(6))
 
     @property
     def of(self) -> str | None:
@@ -241,44 +234,36 @@ class RegionScore:
             return "scenario"
         return "certificate" if self.certifier is not None else None
 
-    def add(self, t_us: int, estimated: State, true: State | None = None) -> None:
-        """One tick: position relative to the start and velocity (6,), as estimated and as they were."""
-        if self.of is None:
-            return
-        self._t_us.append(t_us)
-        self._in_force.append(0 if self.certifier is None else len(self.certifier.adopted))
-        self._estimated.extend(estimated)
-        if true is not None:
-            self._true.extend(true)
-
-    def summary(self) -> dict[str, Any]:
+    def summary(self, t_us: F64, in_force: I64, states: F64, true_states: F64 | None) -> dict[str, Any]:
         """Which region, from when on it counts (s after take-off), the least h then, ticks outside.
 
-        Null where it is not known: without a truth, and where h never was what it begins to count from.
+        Of n ticks: how many certificates had come, position relative to the start and velocity (n, 6), as estimated
+        and as they were.  Null where it is not known: without a truth, and where h never was what it begins to count
+        from.
         """
-        t_us = self._t_us.table()
-        start = engaged_from(t_us, estimated := self._values(self._estimated))
         found: dict[str, Any] = {"of": self.of, "engaged_s": None, "min_h_truth": None, "min_h_estimate": None}
         found["violations"] = found["left_s"] = None
+        if self.of is None:
+            return found
+        start = engaged_from(t_us, estimated := self._values(in_force, states))
         if start is None:
             return found
         since_s = (t_us[start:] - t_us[0]) * 1e-6
         found["engaged_s"] = float(since_s[0])
         found["min_h_estimate"] = _least(estimated[start:])
-        if len(self._true):
-            true = self._values(self._true)[start:]
+        if true_states is not None:
+            true = self._values(in_force, true_states)[start:]
             outside = np.flatnonzero(true < 0.0)
             found["min_h_truth"], found["violations"] = _least(true), len(outside)
             found["left_s"] = float(since_s[outside[0]]) if len(outside) else None
         return found
 
-    def _values(self, states: Column) -> F64:
-        table = states.table()
+    def _values(self, in_force: I64, states: F64) -> F64:
         if self.region is not None:
-            return self.region.values(table[:, :3], table[:, 3:])
-        found, in_force = np.full(len(table), math.nan), self._in_force.table()
+            return self.region.values(states[:, :3], states[:, 3:])
+        found = np.full(len(states), math.nan)
         for number, certificate in enumerate(self.certifier.adopted if self.certifier is not None else (), start=1):
-            found[in_force == number] = certified_values(certificate, table[in_force == number])
+            found[in_force == number] = certified_values(certificate, states[in_force == number])
         return found
 
 
@@ -314,8 +299,6 @@ class FilterScore:
     """Engaged ticks in which a premise did not hold: as measured, or, of the estimate, by the truth."""
     spans: list[tuple[float, float]] = field(default_factory=list)
     """From when to when (s after take-off) the command was one that the certificate allows."""
-    _judged: Certificate | None = None
-    _bounds: Sequence[float] = ()
     _ticks: int = 0
     _solved: int = 0
     _protecting: bool = False
@@ -337,19 +320,24 @@ class FilterScore:
             self.spans.append((flight_s, flight_s))
         self._protecting = protecting
 
-    def judge(self, filtered: Filtered, certificate: Certificate, off: Sequence[float] | None) -> None:
-        """The premises at one tick; `off` (6,): truth less estimate, position and velocity, None where unknown."""
-        if certificate.premises is None or not filtered.status >= SOLVED:
+    def judge(self, certificate: Certificate, premises: I64, off: F64 | None) -> None:
+        """The premises at n ticks under a certificate, as `premises_of` each; `off` (n, 6): truth less estimate,
+        position and velocity, None where unknown."""
+        if certificate.premises is None:
             return
-        if certificate is not self._judged:
-            self._judged, self._bounds = certificate, [float(x) for each in carried_off(certificate) for x in each]
-        strayed = off is not None and any(abs(x) > bound for x, bound in zip(off, self._bounds, strict=True))
-        self.premises_broken += strayed or filtered.premise > 0.0
+        strayed = off is not None and (np.abs(off) > np.concatenate(carried_off(certificate))).any(axis=1)
+        self.premises_broken += int(np.count_nonzero((premises > 0) & (strayed | (premises > 1))))
 
     @property
     def engaged_share(self) -> float | None:
         """Share of the ticks after the climb in which it protected; None without one."""
         return self._solved / self._ticks if self._ticks else None
+
+
+def premises_of(filtered: Filtered) -> int:
+    """0: the filter was not engaged, 1: it was, 2: and a premise was broken as measured."""
+    row = filtered.row
+    return (1 + (row.item(F_PREMISE) > 0.0)) if row.item(F_STATUS) >= SOLVED else 0
 
 
 def barrier_summary(

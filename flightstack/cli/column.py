@@ -43,9 +43,9 @@ class Column:
         """A row of `width` numbers."""
         self._last().extend(row)
 
-    def extend_bytes(self, row: F64) -> None:
-        """The same of an array (`width`,)."""
-        self._last().frombytes(row.tobytes())
+    def extend_bytes(self, row: bytes) -> None:
+        """The same of the bytes of so many."""
+        self._last().frombytes(row)
 
     def table(self) -> F64:
         """(rows, width), or (rows,) of single numbers."""

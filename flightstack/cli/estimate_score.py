@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from flightstack.cli.column import Column
 from flightstack.estimate_observer import POOR_MPS
-from flightstack.types import F64, Tuple3
+from flightstack.types import F64
 
 NO_ESTIMATE: dict[str, Any] = {
     "disagreement_rms_mps": None,
@@ -23,32 +22,19 @@ control_rmse_m: of the position as estimated from the reference that was followe
 its second half."""
 
 
-class EstimateScore:
-    """Sums of a flight, tick by tick on the track."""
-
-    def __init__(self) -> None:
-        self._disagreements, self._errors, self._control = Column(3), Column(3), Column()
-
-    def add(self, disagreement_ned_mps: F64, from_reference_m: float, error_ned_m: Tuple3 | None) -> None:
-        """One tick; `error_ned_m`: estimate less truth, each relative to where the flight began."""
-        self._disagreements.extend_bytes(disagreement_ned_mps)
-        self._control.append(from_reference_m)
-        if error_ned_m is not None:
-            self._errors.extend(error_ned_m)
-
-    def summary(self) -> dict[str, Any]:
-        """The JSON's `estimator`."""
-        if not len(self._control):
-            return dict(NO_ESTIMATE)
-        disagreement = _rms(self._disagreements.table())
-        control = self._control.table()
-        return {
-            "disagreement_rms_mps": disagreement.tolist(),
-            "poor": bool(disagreement.max() > POOR_MPS),
-            "error_rms_m": _rms(self._errors.table()).tolist() if len(self._errors) else None,
-            "control_rmse_m": float(_rms(control)),
-            "control_rmse_settled_m": float(_rms(control[len(control) // 2 :])),
-        }
+def estimate_summary(disagreement_ned_mps: F64, control_m: F64, error_ned_m: F64 | None) -> dict[str, Any]:
+    """The JSON's `estimator`, of the ticks of the track: (n, 3), distance (n,) from the reference to the estimate,
+    estimate less truth (n, 3), each relative to where the flight began."""
+    if not len(control_m):
+        return dict(NO_ESTIMATE)
+    disagreement = _rms(disagreement_ned_mps)
+    return {
+        "disagreement_rms_mps": disagreement.tolist(),
+        "poor": bool(disagreement.max() > POOR_MPS),
+        "error_rms_m": None if error_ned_m is None else _rms(error_ned_m).tolist(),
+        "control_rmse_m": float(_rms(control_m)),
+        "control_rmse_settled_m": float(_rms(control_m[len(control_m) // 2 :])),
+    }
 
 
 def _rms(values: F64) -> F64:

@@ -26,7 +26,7 @@ from flightstack.cli.compiled import compiled_first
 from flightstack.cli.flight import FLIGHT_TIME_LIMIT_S, FlyOptions, Setup, prepare, warm_up_all
 from flightstack.cli.hil import DEFAULT_SENSORS, DEFAULT_VEHICLE, HIL_PORT, HilSession
 from flightstack.cli.live_view import shown_live
-from flightstack.cli.result import FlightResult, LoopTiming, Place, TrackingScore, relative
+from flightstack.cli.result import FlightResult, LoopTiming, Place, relative, tracking_summary
 from flightstack.cli.score import FlightScore
 from flightstack.cli.simulate import HOST, OFFBOARD_PORT
 from flightstack.geodesy import LocalFrame
@@ -62,7 +62,7 @@ class GlobalEstimateScore:
     """Of the truth."""
     origin: tuple[float, float, float] | None = None
     """Latitude, longitude (degrees), altitude (m) of PX4's local frame; None until it is told."""
-    tracking: TrackingScore = field(default_factory=lambda: TrackingScore("estimate"))
+    distances_m: Column = field(default_factory=Column)
     """Of the estimated position from the reference."""
     _errors: Column = field(default_factory=lambda: Column(3))
 
@@ -87,7 +87,7 @@ class GlobalEstimateScore:
     def summary(self) -> dict[str, Any]:
         """rms of the horizontal and of the vertical error, and the mean of the latter; null where nothing is known.
         Beside them `tracking` by the estimate, as a flight without truth has it."""
-        tracking = {"tracking": self.tracking.summary()}
+        tracking = {"tracking": tracking_summary("estimate", self.distances_m.table())}
         if not len(self._errors):
             return {"horizontal_rms_m": None, "height_rms_m": None, "height_mean_m": None} | tracking
         errors = self._errors.table()
@@ -190,7 +190,8 @@ class HilFlight:
         estimated = self._record.measurement.pos_ned_m
         self.estimate.add(estimated, told)
         wanted = self._record.reference.pos_ned_m
-        self.estimate.tracking.add(relative(estimated, start_ned_m), relative(wanted, start_ned_m))
+        away_m = math.dist(relative(estimated, start_ned_m), relative(wanted, start_ned_m))
+        self.estimate.distances_m.append(away_m)
 
     def _ask_for_origin(self, now_us: int) -> None:
         """Once a second, until it is told."""

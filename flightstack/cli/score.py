@@ -4,17 +4,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from flightstack.cli.barrier_score import FilterScore, RegionScore, barrier_summary, qp_summary
-from flightstack.cli.calibration import LearnedScore, gp_summary
-from flightstack.cli.estimate_score import EstimateScore
+from flightstack.cli.barrier_score import FilterScore, RegionScore, barrier_summary, premises_of, qp_summary
+from flightstack.cli.calibration import gp_summary
+from flightstack.cli.estimate_score import estimate_summary
 from flightstack.cli.preparation import Prepared
-from flightstack.cli.result import NO_LOOP, FlightResult, LoopTiming, Place, TrackingScore, judge, percentiles, relative
+from flightstack.cli.result import (
+    NO_LOOP,
+    FlightResult,
+    LoopTiming,
+    Place,
+    distances_m,
+    judge,
+    percentiles,
+    relative,
+    tracking_summary,
+)
 from flightstack.cli.site import TimedSiteFilter
+from flightstack.cli.ticks import FlownTicks, TickTable
 from flightstack.cli.verdict import Ascent, Flown, most_rms_m, protection_of
 from flightstack.mission import first_height_m
-from flightstack.types import Learned, TickRecord
+from flightstack.types import F64, Learned, TickRecord
 from flightstack_logs.recorder import NoLog
 from flightstack_logs.writer import FlightLog
 from mavlink_bridge.companion import Companion
@@ -30,16 +41,16 @@ class FlightScore:
 
     def __init__(self, prepared: Prepared, *, of: str) -> None:
         self.prepared = prepared
-        self.tracking = TrackingScore(of)
+        self.of = of
         self.companion: Companion | None = None
         self._record: TickRecord | None = None
         self._by_estimate = of == "estimate"
         self._learning = prepared.stack.learner.enabled
         self._last_learned: Learned | None = None
-        self._learned = LearnedScore()
+        self._ticks = FlownTicks()
         protection = prepared.protection
-        self.region = RegionScore(protection.region, protection.watched)
-        self._judging = self.region.of is not None
+        self._watched = protection.watched
+        self._region = RegionScore(protection.region, protection.watched)
         self._duration_s = prepared.scenario.duration_s
         self._filtering = prepared.stack.filter.enabled
         self._filter = FilterScore()
@@ -47,7 +58,6 @@ class FlightScore:
         if protection.site is not None and isinstance(protection.filter, TimedSiteFilter):
             self.site = protection.site.score(protection.filter)
         self.ascent = Ascent()
-        self.estimate = EstimateScore()
 
     def on_record(self, record: TickRecord) -> None:
         """A tick of the stack; of an estimated flight it is scored at once."""
@@ -93,39 +103,47 @@ class FlightScore:
         record, companion = self._record, self.companion
         if record is None or companion is None or track_s is None:
             return
-        place, seen = relative(pos_ned_m, start_ned_m), record.measurement
-        at_n, at_e, at_d, *velocity = seen.row[:6].tolist()
-        flown = relative((at_n, at_e, at_d), companion.start_ned_m)
-        self.ascent.height(float(start_ned_m[2]) - float(pos_ned_m[2]))
+        followed = record.reference
         if self.site is not None:
             flight_s = (record.t_us - companion.flight_start_us) * 1e-6
-            self.site.place(flight_s, record, place)
-        if self._judging:
-            state = (*flown, *velocity)
-            true = None if truth is None else (*relative(truth.pos_ned_m, start_ned_m), *truth.vel_ned_mps)
-            self.region.add(record.t_us, state, true)
-            watched = self.prepared.protection.watched
-            if watched is not None and watched.adopted:
-                off = None if true is None else [a - b for a, b in zip(true, state, strict=True)]
-                self._filter.judge(record.filtered, watched.adopted[-1], off)
-        if not 0.0 <= track_s <= self._duration_s:
-            return
-        followed = record.reference
-        if self.site is not None:  # what was asked for through a wall is not what was to be flown
+            self.site.place(flight_s, record, relative(pos_ned_m, start_ned_m))
+            # what was asked for through a wall is not what was to be flown
             followed = self.site.filter.reference or followed
-        wanted_n, wanted_e, wanted_d = followed.row[:3].tolist()
-        wanted = wanted_n, wanted_e, wanted_d
-        self.tracking.add(place, relative(wanted, companion.start_ned_m))
-        error = None
+        certificates = 0 if self._watched is None else len(self._watched.adopted)
+        head = record.t_us, certificates, 0.0 <= track_s <= self._duration_s, premises_of(record.filtered)
+        self._ticks.add(head, record, followed.row, companion.view.streams.observer.disagreement_ned_mps)
         if truth is not None:
-            (n, e, d), (tn, te, td) = flown, place
-            error = n - tn, e - te, d - td
-        self.estimate.add(
-            companion.view.streams.observer.disagreement_ned_mps,
-            math.dist((at_n, at_e, at_d), wanted), error,
-        )  # fmt: skip
-        if self._learning:
-            self._learned.add(record.learned, truth)
+            place = relative(pos_ned_m, start_ned_m)
+            true = place if pos_ned_m is truth.pos_ned_m else relative(truth.pos_ned_m, start_ned_m)
+            self._ticks.add_truth(place, true, truth)
+
+    def _worked_out(self) -> TickTable:
+        """The ticks so far; what was summed up of them is."""
+        assert self.companion is not None
+        ticks, watched = self._ticks.table(self.companion.start_ned_m), self._watched
+        self.ascent.rose_m, self._filter.premises_broken = None, 0
+        for down_m in ticks.place_ned_m[:, 2].tolist():
+            self.ascent.height(0.0 - down_m)
+        for number, certificate in enumerate(watched.adopted if watched is not None else (), start=1):
+            under = ticks.in_force == number
+            off = None if ticks.true_state is None else ticks.true_state[under] - ticks.state[under]
+            self._filter.judge(certificate, ticks.premises[under], off)
+        return ticks
+
+    def tracked_m(self) -> F64:
+        """(n,) distance from the scenario's reference at each tick of the track so far."""
+        return _tracked_m(self._worked_out())
+
+    def tracking(self) -> dict[str, Any]:
+        """The JSON's `tracking` so far."""
+        return tracking_summary(self.of, self.tracked_m())
+
+    def region(self) -> dict[str, Any]:
+        """The JSON's `region` so far, but for the filter's ticks."""
+        return self._judged(self._worked_out())
+
+    def _judged(self, ticks: TickTable) -> dict[str, Any]:
+        return self._region.summary(ticks.t_us, ticks.in_force, ticks.state, ticks.true_state)
 
     def result(
         self,
@@ -144,10 +162,10 @@ class FlightScore:
         companion, prepared = self.companion, self.prepared
         assert companion is not None
         flown_us = max(0, companion.last_t_us - companion.flight_start_us) if companion.flight_start_us >= 0 else 0
-        stack, region = prepared.stack, self.region.summary()
+        stack, ticks, watched = prepared.stack, self._worked_out(), self._watched
+        tracking, region = tracking_summary(self.of, _tracked_m(ticks)), self._judged(ticks)
         region["filtered_ticks"] = self._filter.acting if self._filtering else None
-        tracking, watched = self.tracking.summary(), prepared.protection.watched
-        most_m = most_rms_m(self.tracking.of, prepared.settings.get("sensors", ""))
+        most_m = most_rms_m(self.of, prepared.settings.get("sensors", ""))
         flown = Flown(first_height_m(prepared.scenario), self.ascent.rose_m, self.ascent.touchdown_mps, most_m)
         asked, exits = prepared.protection.asked and completed is not None, self.site.exits if self.site else None
         stopped = self.site.stopped_share if self.site else 0.0
@@ -164,13 +182,13 @@ class FlightScore:
             plant=plant,
             controller=prepared.settings["controller"],
             tracking=tracking,
-            gp=gp_summary(stack.learner, stack.model, self._last_learned, self._learned),
+            gp=gp_summary(stack.learner, stack.model, self._last_learned, ticks),
             loop=timing.summary() if timing is not None else NO_LOOP,
             barrier=barrier_summary(self._filtering, region, self._filter, self.site),
             qp=qp_summary(stack.filter, self._filter.infeasible),
             region=region,
             link=link_summary(companion),
-            estimator=self.estimate.summary(),
+            estimator=_estimator(ticks),
             flown=asdict(flown),
             protection=protection_of(asked, self._filter.spans, region, exits),
             filter_words=prepared.protection.words,
@@ -183,6 +201,19 @@ class FlightScore:
             result.checks = [judge(check, result.as_json()) for check in prepared.scenario.checks]
             result.miss_checks()
         return result
+
+
+def _tracked_m(ticks: TickTable) -> F64:
+    on = ticks.tracked
+    return distances_m(ticks.place_ned_m[on], ticks.wanted_ned_m[on])
+
+
+def _estimator(ticks: TickTable) -> dict[str, Any]:
+    """The JSON's `estimator`."""
+    on = ticks.tracked
+    control_m = distances_m(ticks.estimated_ned_m[on], ticks.followed_ned_m[on])
+    error_m = None if ticks.true_state is None else (ticks.state[:, :3] - ticks.place_ned_m)[on]
+    return estimate_summary(ticks.disagreement_ned_mps[on], control_m, error_m)
 
 
 def link_summary(companion: Companion) -> dict[str, object]:

@@ -52,7 +52,7 @@ def fly(flight: TrackingFlight, bench: PartContext) -> dict[str, Any]:
     flown, track = fly_track(setup, flight.options, stop_requested=bench.stop_requested, on_progress=bench.on_progress)
     if not flown.companion.completed:
         raise PartFailed(f"the flight did not complete: {flown.companion.reason}")
-    found: dict[str, Any] = {**flown.score.tracking.summary(), **trace(track)}
+    found: dict[str, Any] = {**flown.score.tracking(), **trace(track)}
     if flight.pilot in ("learning", "none"):
         found["picture"] = picture(setup, track)
     if flight.pilot == "learning":

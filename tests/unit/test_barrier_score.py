@@ -14,7 +14,7 @@ from log_samples import tick_record
 from shipped import load_vehicle
 
 from flightstack.barrier.records import Certificate
-from flightstack.cli import console
+from flightstack.cli import barrier_score, console
 from flightstack.cli.barrier_score import (
     FilterScore,
     GivenCertificate,
@@ -24,6 +24,7 @@ from flightstack.cli.barrier_score import (
     barrier_summary,
     certified_values,
     engaged_from,
+    premises_of,
     qp_summary,
 )
 from flightstack.cli.protection import Protection
@@ -134,12 +135,11 @@ def test_a_region_counts_from_half_a_second_at_0_05_on() -> None:
 
 def scored(region: Region | None, down_m: F64, *, off_m: float = 0.0, truth: bool = True) -> dict[str, Any]:
     """The summary of a flight along down: as estimated, and `off_m` further down in truth."""
-    score = RegionScore(region)
-    for i, z in enumerate(down_m.tolist()):
-        state = np.array([0.0, 0.0, z, 0.0, 0.0, 0.0])
-        true = state + np.array([0.0, 0.0, off_m, 0.0, 0.0, 0.0])
-        score.add(1_000_000 + TICK_US * i, state, true if truth else None)
-    return score.summary()
+    states = np.zeros((len(down_m), 6))
+    states[:, 2] = down_m
+    t_us = 1_000_000.0 + TICK_US * np.arange(len(states))
+    true = states + np.array([0.0, 0.0, off_m, 0.0, 0.0, 0.0])
+    return RegionScore(region).summary(t_us, np.zeros(len(states), np.int64), states, true if truth else None)
 
 
 def test_violations_are_ticks_of_the_true_state_outside_once_it_counts() -> None:
@@ -171,19 +171,12 @@ def test_of_a_flight_that_never_came_inside_neither_violations_nor_h_are_known()
 
 def test_under_a_certificate_the_one_in_force_at_the_tick_judges() -> None:
     certifier = WatchedCertifier(GivenCertificate(certificate(), MODEL))
-    score = RegionScore(None, certifier)
+    certifier.adopted += [certificate(), certificate(semi_m=0.6)]
     inside = np.concatenate([CENTRE, np.zeros(3)])
     away = np.add(inside, (0.9, 0.0, 0.0, 0.0, 0.0, 0.0))
-    score.add(0, inside, inside)  # nothing is in force yet
-    certifier.adopted.append(certificate())
-    for i in range(1, 200):
-        score.add(TICK_US * i, inside, inside)
-    for i in range(200, 210):
-        score.add(TICK_US * i, away, away)
-    certifier.adopted.append(certificate(semi_m=0.6))
-    for i in range(210, 215):
-        score.add(TICK_US * i, away, away)
-    seen = score.summary()
+    in_force = np.repeat([0, 1, 2], [1, 209, 5])  # at first nothing is
+    states = np.repeat([inside, away], [200, 15], axis=0)
+    seen = RegionScore(None, certifier).summary(float(TICK_US) * np.arange(215), in_force, states, states)
     assert (seen["of"], seen["violations"]) == ("certificate", 5)
     assert seen["min_h_truth"] == pytest.approx(1.0 - (0.9 / 0.6) ** 2)
     assert seen["left_s"] == pytest.approx(0.84)
@@ -217,6 +210,26 @@ def test_the_governors_share_is_of_the_engaged_ticks() -> None:
         score.add(1.0, says(1), climbing=True, governed=True)
         score.add(2.0, says(2), climbing=False, governed=governed)
     assert barrier_summary(True, scored(BOX, np.full(3, -1.5)), score)["governor_share"] == 0.5
+
+
+def test_a_premise_counts_as_broken_as_measured_or_by_the_truth_while_the_filter_is_engaged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Ticks: not engaged and far off; within; velocity beyond; position beyond; measured; nothing known."""
+    monkeypatch.setattr(barrier_score, "carried_off", lambda certificate: (np.full(3, 0.1), np.full(3, 0.2)))
+    said = says(1, premise=1.0), says(2), says(2, premise=0.0), says(3), says(4, premise=2.0), says(2)
+    premises = np.array([premises_of(each) for each in said])
+    assert premises.tolist() == [0, 1, 1, 1, 2, 1]
+    off = np.zeros((6, 6))
+    off[0], off[1], off[2, 4], off[3, 0], off[5] = 1.0, 0.1, -0.21, -0.11, np.nan
+    score = FilterScore()
+    score.judge(certificate(), premises, off)
+    assert score.premises_broken == 0, "it has none"
+    rests_on: Any = certificate(premises=object())
+    score.judge(rests_on, premises, off)
+    assert score.premises_broken == 3
+    score.judge(rests_on, premises, None)
+    assert score.premises_broken == 4
 
 
 def test_time_in_which_somebody_else_flew_is_not_protected() -> None:

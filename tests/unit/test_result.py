@@ -14,9 +14,10 @@ from log_samples import tick_record
 from shipped import load_vehicle
 
 from flightstack.cli import console
-from flightstack.cli.calibration import LearnedScore, TimedLearner, gp_summary
+from flightstack.cli.calibration import TimedLearner, gp_summary
 from flightstack.cli.recorder import LearnerEvents
 from flightstack.cli.result import NO_GP, NO_LOOP, FlightResult, judge, percentiles
+from flightstack.cli.ticks import FlownTicks, TickTable
 from flightstack.model import Model
 from flightstack.scenario import Check
 from flightstack.seams import NoLearner
@@ -60,11 +61,14 @@ def hovers(mass_ratio: float) -> Truth:
     return Truth(0, zero, zero, UPRIGHT, zero, force, zero, (norm,) * 4, (0.0,) * 4, zero, 16.0, False)
 
 
-def ticks(*learned: Learned, truth: Truth | None = None) -> LearnedScore:
-    score = LearnedScore()
+def ticks(*learned: Learned, truth: Truth | None = None) -> TickTable:
+    """Of the track."""
+    kept, record = FlownTicks(), tick_record(1)
     for one in learned:
-        score.add(one, truth)
-    return score
+        kept.add((0, 0, True, 0), record._replace(learned=one), record.reference.row, np.zeros(3))
+        if truth is not None:
+            kept.add_truth((0.0, 0.0, 0.0), truth.pos_ned_m, truth)
+    return kept.table(np.zeros(3))
 
 
 # ---------------------------------------------------------------- timing
