@@ -17,7 +17,7 @@ export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 .DEFAULT_GOAL := help
-.PHONY: attack bench bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean close-gap client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-frozen gap-recorded gap-rotorpy gap-rough gap-sensitivity help house mutants paper px4 replay same screenshots test thorough tune
+.PHONY: attack bench bench-barrier bench-flight bench-gap bench-gp bench-log bench-plant campaign campaign-barrier campaign-barrier-filters campaign-barrier-filters-quick campaign-barrier-quick campaign-fence campaign-learning campaign-learning-quick clean close-gap client-20 client-dronekit crosscheck decoder docs faults fly format fuzz gap-blind gap-blind-quick gap-frozen gap-recorded gap-rotorpy gap-rough gap-sensitivity help house mutants paper px4 replay same screenshots soak test thorough tune
 
 help:
 	@echo "make fly          set up, fly the paper's tracking scenario, write log and report"
@@ -27,6 +27,7 @@ help:
 	@echo "make bench        what every part costs, as multiples of a reference kernel: docs/benchmarks.md (CHECK=1 compares)"
 	@echo "make bench-plant  the plant's speed beside its peers"
 	@echo "make bench-flight lockstep speed, tracking accuracy and real-time lateness"
+	@echo "make soak         an hour at 250 Hz in real time beside two busy loops, a quarter of one at normal priority"
 	@echo "make bench-gap    what flightstack gap takes on a minute at 125 Hz and on long logs: docs/gap-measured.md"
 	@echo "make bench-log    what logs cost: in a tick, live, to read ten minutes: docs/logs.md"
 	@echo "make bench-gp     the recursive Gaussian process beside its peers"
@@ -115,6 +116,9 @@ bench-plant: $(BIN)/.installed-bench
 
 bench-flight: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.flight
+
+soak: $(BIN)/.installed
+	$(BIN)/python -m benchmarks.soak
 
 bench-gap: $(BIN)/.installed
 	$(BIN)/python -m benchmarks.gap_timing
