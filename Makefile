@@ -100,6 +100,7 @@ test: $(BIN)/.installed
 	nice -n 5 $(BIN)/mypy > $(VENV)/types.txt 2>&1 & typed=$$!; \
 	  $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder; tested=$$?; \
 	  wait $$typed; typed=$$?; cat $(VENV)/types.txt; [ $$typed = 0 ] && exit $$tested
+	$(BIN)/python -m benchmarks.bench --check
 
 format: $(BIN)/.installed-dev
 	$(BIN)/ruff format .

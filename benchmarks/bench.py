@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
 from threadpoolctl import threadpool_limits
 
 from benchmarks import barrier, campaign, gap_timing, plant
@@ -244,12 +245,17 @@ def parts(folder: Path) -> list[Part]:
     ]
 
 
+def processor() -> str:
+    """Name and, of those that share one, kind."""
+    return f"{campaign.processor()} ({get_host_cpu_name()})"
+
+
 def table(lines: list[Part]) -> str:
     """As markdown, with the machine it was measured on."""
     kernels = {each.name: each.us for each in lines if each.name == each.kernel}
     load = os.getloadavg()[0]
     rows = [
-        f"{date.today()}, {campaign.processor()}, Python {platform.python_version()}, flightstack {commit()}, "
+        f"{date.today()}, {processor()}, Python {platform.python_version()}, flightstack {commit()}, "
         f"load {load:.1f} at the end:",
         "",
         "| part | piece | us | a second | times its kernel |",
@@ -279,8 +285,8 @@ def behind(then: dict[str, float], now: dict[str, float]) -> dict[str, str]:
 
 def check(lines: list[Part], stated: str) -> str:
     """Measure a few turns; what is to be said where a part is slower than stated, else nothing."""
-    if campaign.processor() not in stated:
-        print(f"not compared: the table of {PAGE.name} was measured on another processor")
+    if processor() not in stated:
+        print(f"not compared: this is {processor()}, the table of docs/{PAGE.name} was measured on another processor")
         return ""
     slow = {each.name for each in lines}
     for turn in range(SHORT_ROUNDS + MORE_ROUNDS):

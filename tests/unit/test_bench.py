@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
-from benchmarks.bench import COMPILED, PAGE, PYTHON, UNHELD, Part, behind, multiples, table
+import pytest
+
+from benchmarks.bench import COMPILED, PAGE, PYTHON, UNHELD, Part, behind, check, multiples, processor, table
 
 
 def lines(step_us: float) -> list[Part]:
@@ -38,3 +40,25 @@ def test_the_page_has_a_table() -> None:
     found = multiples(PAGE.read_text("utf-8"))
     assert len(found) >= 10
     assert all(math.isfinite(value) and value > 0.0 for value in found.values())
+
+
+def slowing(before_us: float, *turns_us: float) -> tuple[list[Part], str]:
+    """Lines whose plant takes these times in turn, and the table of one that took `before_us`."""
+    stated = table(lines(step_us=before_us))
+    parts = [each for each in lines(step_us=before_us) if each.name != "plant"]
+    times = iter(turns_us)
+    return [*parts, Part("plant", "step", COMPILED, lambda: next(times, turns_us[-1]))], stated
+
+
+def test_a_short_form_fails_where_a_part_stays_slow() -> None:
+    assert "plant: 0.4 times its kernel, 0.2 are stated" in check(*slowing(10.0, 20.0))
+
+
+def test_a_busy_neighbour_is_waited_for() -> None:
+    assert check(*slowing(10.0, 20.0, 20.0, 20.0, 20.0, 11.0)) == ""
+
+
+def test_another_processor_is_held_to_nothing_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    parts, stated = slowing(10.0, 20.0)
+    assert check(parts, stated.replace(processor(), "8 cores of an abacus (bead)")) == ""
+    assert "not compared" in capsys.readouterr().out
