@@ -32,8 +32,8 @@ from flightstack_sim.jsbsim.readings import (
     R_Q,
     R_RATE,
     R_VEL,
+    READ,
     READINGS,
-    read,
 )
 from flightstack_sim.jsbsim.text import FOOT_M, POUND_N, SLUG_KG
 from flightstack_sim.parameters import parameter_row
@@ -109,11 +109,11 @@ class JsbsimPlant:
 
     def step(self, motor_command: F64) -> None:
         """Advance by dt_us with these commands (4,), normalised 0..1, held; what is not a number stops its motor."""
-        self.fly(motor_command, read, _ONCE)
+        self.fly(motor_command, READ.call, _ONCE)
 
     def run(self, motor_command: F64, steps: int) -> None:
         """`steps` steps with the same commands."""
-        self.fly(motor_command, read, repeat((), steps))
+        self.fly(motor_command, READ.call, repeat((), steps))
 
     def fly(self, motor_command: F64, look: Callable[..., float], each: Iterable[tuple[Any, ...]]) -> None:
         """`step` for each item with `look(row, frame, numbers, *item)` in `read`'s place: it gives the height.
@@ -247,7 +247,7 @@ class JsbsimPlant:
 
     def _show(self) -> None:
         """Read JSBSim's present numbers into the row."""
-        read(self._row, self._frame, tuple(get() for get in self._get_state))
+        READ.call(self._row, self._frame, tuple(get() for get in self._get_state))
 
     def _toggle_ground(self) -> None:
         """JSBSim looks for contacts only where there can be some: a sixth of a step's time."""

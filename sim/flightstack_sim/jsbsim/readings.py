@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.types import F64
 
 R_POS, R_VEL, R_Q, R_RATE, R_FORCE, R_ANGULAR, R_LAST_FORCE = 0, 3, 6, 10, 13, 16, 19
@@ -60,3 +60,6 @@ def _attitude(row: F64, phi: float, theta: float, psi: float) -> None:
     if w * row[R_Q] + x * row[R_Q + 1] + y * row[R_Q + 2] + z * row[R_Q + 3] < 0.0:
         w, x, y, z = -w, -x, -y, -z
     row[R_Q], row[R_Q + 1], row[R_Q + 2], row[R_Q + 3] = w, x, y, z
+
+
+READ = Entry(read, "f8[::1], f8[::1], UniTuple(f8, 15)")

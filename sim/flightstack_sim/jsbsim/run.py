@@ -6,7 +6,7 @@ the way through Python is left out.  JSBSim itself can't be called from compiled
 
 from __future__ import annotations
 
-from flightstack.jit import njit
+from flightstack.jit import Entry, njit
 from flightstack.types import F64
 from flightstack_sim.autopilot.rate_control import RateControl, rate_step
 from flightstack_sim.jsbsim.plant import E_ACCEL, E_GYRO, E_TURN, JsbsimPlant
@@ -33,7 +33,7 @@ class JsbsimRun:
         rate.step(sensors.gyro_frd_radps)
         plant.fly(
             rate.motor_command,
-            _look,
+            _LOOK.call,
             [(steps - 1 - k, *arrays, (sensors.noise, row + k, sensors.imu), told) for k in range(steps)],
         )
         sensors.sampled(plant, steps)
@@ -56,3 +56,10 @@ def _look(
         imu = sensors[2]
         rate_step(imu[GYRO : GYRO + 3], loop)
     return height
+
+
+_LOOK = Entry(
+    _look,
+    "f8[::1], f8[::1], UniTuple(f8, 15), i8, f8[::1], f8[::1], Tuple((f8[:, ::1], i8, f8[::1])), "
+    "Tuple((f8[:, ::1], i8, f8[:, ::1], f8[::1]))",
+)
