@@ -20,6 +20,7 @@ from flightstack.gap.decisions import MOVED, SLOW_ERROR_S
 from flightstack.gap.records import Samples
 from flightstack.gap.rollouts import WINDOW_S, rollout
 from flightstack.gap.run import ModelEvaluation, params_row
+from flightstack.gap.simulate import predict
 from flightstack.gap.track import COLUMNS, track
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -51,7 +52,7 @@ def doubt(vehicle: Vehicle, samples: Samples) -> F64:
     if not error > 0.0:
         return out
     p = params_row(vehicle, flight.step_s)
-    base = ModelEvaluation(p, flight).shown(p)
+    base = predict(vehicle, samples)
     for axis, of in enumerate(power.tolist()):
         share = min(error / max(of, 1e-12), 1.0)
         if share < _NONE:
@@ -87,7 +88,7 @@ def offset_columns(vehicle: Vehicle, samples: Samples) -> F64:
     if not vehicle.effects.keys() & _BY_AIR or np.max(offset(samples, samples.valid)) < _STILL_MPS:
         return out
     p = params_row(vehicle, flight.step_s)
-    base = ModelEvaluation(p, flight).shown(p)
+    base = predict(vehicle, samples)
     for axis in range(3):
         moved = replace(flight, vel_ned_mps=flight.vel_ned_mps + np.eye(3)[axis])
         out[:, :, axis] = flight.lowpass(ModelEvaluation(p, moved).shown(p) - base)

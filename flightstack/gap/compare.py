@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from flightstack.effects import accelerometer_bias, gyro_bias
 from flightstack.gap.filters import spectrum, white_noise
 from flightstack.gap.records import Figures, Residual, Samples
+from flightstack.gap.remembered import Remembered
 from flightstack.gap.rollouts import rollout
 from flightstack.gap.run import ModelEvaluation, params_row, true_attitude
-from flightstack.gap.simulate import prediction_error
+from flightstack.gap.simulate import predict, prediction_error
 from flightstack.gap.sources import FREED
 from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, derivative, track
 from flightstack.types import F64
@@ -34,16 +35,11 @@ def residual(vehicle: Vehicle, samples: Samples) -> Residual:
 
     The kinematic columns hold no physics, so their own scatter is their noise.
     """
-    key = (id(vehicle), id(samples))
-    if key not in _KNOWN:
-        if len(_KNOWN) >= _MOST_KNOWN:
-            del _KNOWN[next(iter(_KNOWN))]
-        _KNOWN[key] = (vehicle, samples, _residual(vehicle, samples))  # both are kept, so their numbers are theirs
-    return _KNOWN[key][2]
+    return _RESIDUALS(lambda: _residual(vehicle, samples), vehicle, samples)
 
 
-_MOST_KNOWN = 6
-_KNOWN: dict[tuple[int, int], tuple[Vehicle, Samples, Residual]] = {}
+_RESIDUALS = Remembered[Residual](6)
+_ROLLOUT_ERRORS = Remembered[F64](6)
 
 
 def _residual(vehicle: Vehicle, samples: Samples) -> Residual:
@@ -137,7 +133,15 @@ def rollout_starts(samples: Samples, mask: NDArray[np.bool_], horizon_s: float =
 
 
 def rollout_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_], horizon_s: float = HORIZON_S) -> F64:
-    """(S, 3) simulated minus measured position after the horizon, m, NED; empty without position or velocity."""
+    """(S, 3) simulated minus measured position after the horizon, m, NED; empty without position or velocity.
+
+    Not to be written to.
+    """
+    how = params_row(vehicle, samples.dt_s).tobytes() + np.float64(horizon_s).tobytes()
+    return _ROLLOUT_ERRORS(lambda: _rollout_error(vehicle, samples, mask, horizon_s), samples, mask, depends=how)
+
+
+def _rollout_error(vehicle: Vehicle, samples: Samples, mask: NDArray[np.bool_], horizon_s: float) -> F64:
     starts = rollout_starts(samples, mask, horizon_s)
     if not _can_roll(samples, starts):
         return np.empty((0, 3))
@@ -191,7 +195,7 @@ def velocity_noise(vehicle: Vehicle, samples: Samples) -> F64:
     if not flight.vel_std_mps.any():
         return total
     p = params_row(vehicle, flight.step_s)
-    base = ModelEvaluation(p, flight).shown(p)
+    base = predict(vehicle, samples)
     for axis in range(3):
         moved = flight.vel_ned_mps + flight.vel_std_mps[axis] * np.eye(3)[axis]
         change = ModelEvaluation(p, replace(flight, vel_ned_mps=moved)).shown(p) - base

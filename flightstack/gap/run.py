@@ -5,7 +5,7 @@ Many parameter rows are evaluated at the same states in one compiled call (`gap.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -41,6 +41,7 @@ from flightstack.effects.row import (
 )
 from flightstack.gap.evaluated import evaluate_at
 from flightstack.gap.records import SIGNALS
+from flightstack.gap.remembered import Remembered
 from flightstack.gap.rotor_state import load_work, run_battery, run_load, run_rotors
 from flightstack.gap.track import COLUMNS, GRAVITY_NED_MPS2, ProcessedFlight, simpson, step_commands
 from flightstack.types import F64
@@ -49,13 +50,10 @@ from flightstack_logs.turn import conjugate, multiply, rotate, rotate_inverse
 from flightstack_sim.parameters import derive, parameter_row
 from flightstack_sim.plant import evaluate_rows, state_rows
 
-_MOST_ROWS_MADE = 256
-_ROWS_MADE: dict[tuple[int, float], tuple[Vehicle, F64]] = {}
-_MOST_KEPT = 4
-_Kept = dict[tuple[int, bytes], tuple[object, F64]]
-_TURNED: _Kept = {}
-_SWUNG: _Kept = {}
-_FELT: _Kept = {}
+_ROWS_MADE = Remembered[F64](256)
+_TURNED = Remembered[F64](4)
+_SWUNG = Remembered[F64](4)
+_FELT = Remembered[F64](4)
 """Of the last few vehicles: many loads and ropes are tried on each, and columns are taken where a fit already was."""
 _ADRIFT_S = 1.0
 """A log that holds flight this soon began in the air."""
@@ -63,6 +61,7 @@ SENSORS = [PLACES[effect, p.name] for effect, spec in EFFECTS.items() if spec.ki
 """Places of the sensor effects' parameters in a row."""
 
 
+@lru_cache(maxsize=4)
 def with_added_delay(flight: ProcessedFlight, late_s: float) -> ProcessedFlight:
     """The flight with its commands acting this much later still."""
     samples = flight.samples
@@ -81,16 +80,15 @@ class CentralDifference:
 
 def params_row(vehicle: Vehicle, step_s: float) -> F64:
     """The plant's parameter row (PARAMS,) for a run-through: no ground contact, no gusts, this step."""
-    key = (id(vehicle), step_s)
-    if key not in _ROWS_MADE:
-        p = parameter_row(vehicle, dt_us=1, ground=False)  # at given states nothing is too stiff
-        p[P_DT] = step_s
-        p[turbulence.SIGMA] = 0.0
-        derive(p)
-        if len(_ROWS_MADE) >= _MOST_ROWS_MADE:
-            del _ROWS_MADE[next(iter(_ROWS_MADE))]
-        _ROWS_MADE[key] = (vehicle, p)  # the vehicle is kept, else another could come to have its number
-    return _ROWS_MADE[key][1].copy()
+    return _ROWS_MADE(lambda: _params_row(vehicle, step_s), vehicle, depends=np.float64(step_s).tobytes()).copy()
+
+
+def _params_row(vehicle: Vehicle, step_s: float) -> F64:
+    p = parameter_row(vehicle, dt_us=1, ground=False)  # at given states nothing is too stiff
+    p[P_DT] = step_s
+    p[turbulence.SIGMA] = 0.0
+    derive(p)
+    return p
 
 
 class ModelEvaluation:
@@ -102,9 +100,9 @@ class ModelEvaluation:
         """`p`: `params_row`."""
         self.track = flight
         behind = np.array([flight.step_s, p[D_TAU], p[D_DELAY_STEPS]]).tobytes()
-        self.u = _kept(_TURNED, behind, flight.commands, lambda: _rotors(p, flight))
+        self.u = _TURNED(lambda: _rotors(p, flight), flight.commands, depends=behind)
         swinging = p.tobytes() if p[slung_load.MASS] != 0.0 else b""
-        self.load = _kept(_SWUNG, swinging, flight, lambda: _load(p, flight, self.u))
+        self.load = _SWUNG(lambda: _load(p, flight, self.u), flight, depends=swinging)
         self.voltage = flight.samples.battery_v
         if p[P_HAS_BATTERY] != 0.0 and "battery_v" in flight.missing:
             self._drain(p)
@@ -255,7 +253,7 @@ def _felt_of_the_load(p: F64, flight: ProcessedFlight, u: F64, hanging: F64) -> 
     bare = p.copy()
     bare[slung_load.MASS] = bare[slung_load.LENGTH] = 0.0
     derive(bare)  # its ground contacts, which don't act here, would tell one load from another
-    return _kept(_FELT, bare.tobytes(), flight, lambda: _felt_beyond(bare, flight, u, hanging))
+    return _FELT(lambda: _felt_beyond(bare, flight, u, hanging), flight, depends=bare.tobytes())
 
 
 def _felt_beyond(p: F64, flight: ProcessedFlight, u: F64, hanging: F64) -> F64:
@@ -268,13 +266,3 @@ def _felt_beyond(p: F64, flight: ProcessedFlight, u: F64, hanging: F64) -> F64:
     measurement_change = p[D_MASS] * rotate(true_attitude(p, flight), force - out[:, 0:3, 0])
     measurement_change[~flight.samples.valid] = np.nan
     return np.asarray(measurement_change)
-
-
-def _kept(kept: _Kept, depends: bytes, on: object, made: Callable[[], F64]) -> F64:
-    """What was made of this object and these bytes before, of the last few; not to be written to."""
-    key = (id(on), depends)
-    found = kept.pop(key, None) or (on, made())  # the object is kept, so its number is its own
-    while len(kept) >= _MOST_KEPT:
-        del kept[next(iter(kept))]
-    kept[key] = found
-    return found[1]

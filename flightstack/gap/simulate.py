@@ -20,15 +20,17 @@ from flightstack.effects import EFFECTS, ParamSpec
 from flightstack.effects.record import Size
 from flightstack.effects.row import PLACES
 from flightstack.gap.records import Samples
+from flightstack.gap.remembered import Remembered
 from flightstack.gap.run import (
     SENSORS,
     CentralDifference,
     ModelEvaluation,
     kinematic_residual,
+    kinematics,
     params_row,
     with_added_delay,
 )
-from flightstack.gap.track import COLUMNS, thinned, track
+from flightstack.gap.track import COLUMNS, ProcessedFlight, thinned, track
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
 from flightstack_sim.parameters import derive
@@ -81,7 +83,15 @@ def predict(vehicle: Vehicle, samples: Samples) -> F64:
     """
     flight = track(samples)
     p = params_row(vehicle, flight.step_s)
-    return ModelEvaluation(p, flight).shown(p)
+    return np.hstack([_physics(p, flight), kinematics(flight, p)])
+
+
+def _physics(p: F64, flight: ProcessedFlight) -> F64:
+    """(N, 6) the first columns of `predict`."""
+    return _PHYSICS(lambda: ModelEvaluation(p, flight).physics(p), flight, depends=p.tobytes())
+
+
+_PHYSICS = Remembered[F64](4)
 
 
 def prediction_error(vehicle: Vehicle, samples: Samples) -> tuple[F64, F64]:
@@ -91,7 +101,7 @@ def prediction_error(vehicle: Vehicle, samples: Samples) -> tuple[F64, F64]:
     """
     flight = track(samples)
     p = params_row(vehicle, flight.step_s)
-    raw = flight.measured[:, :6] - ModelEvaluation(p, flight).physics(p)
+    raw = flight.measured[:, :6] - _physics(p, flight)
     out = np.full((len(raw), COLUMNS), np.nan)
     sighted = [c for c in range(6) if c not in flight.blind]
     if sighted:

@@ -13,6 +13,8 @@ from flightstack.gap.estimator_bias import is_freed
 from flightstack.gap.naming.inputs import with_sharp_commands, with_smooth_commands
 from flightstack.gap.naming.whitening import Mask
 from flightstack.gap.records import Samples
+from flightstack.gap.remembered import Remembered
+from flightstack.gap.run import params_row
 from flightstack.gap.sampled import loop_noise, open_gains, timing_s
 from flightstack.gap.simulate import FreeParameter, evaluated_every, predict, prediction_error, sensitivities, timing
 from flightstack.gap.track import track
@@ -55,16 +57,12 @@ class SimulatorBench:
     """Effects that none of the flights can show beside what the vehicle's model lacks."""
     trifles: float = 1.0
     """Of the candidates' negligible sizes, the share at which each is taken to be there (`candidates.trifle`)."""
-    _known: dict[int, tuple[Vehicle, list[F64]]] = field(default_factory=dict, repr=False)
-    """By the vehicle's identity: a search comes back to its fits again and again."""
+    _known: Remembered[list[F64]] = field(default_factory=lambda: Remembered(_MOST_KNOWN), repr=False)
+    """By the vehicle's parameters: a search comes back to its fits again and again."""
 
     def residual(self, vehicle: Vehicle) -> list[F64]:
         """Measured minus simulated (N, 12) of each flight, NaN where it can't be had; not to be written to."""
-        if id(vehicle) not in self._known:
-            if len(self._known) >= _MOST_KNOWN:
-                del self._known[next(iter(self._known))]
-            self._known[id(vehicle)] = (vehicle, self._residual(vehicle))  # kept, so that its number stays its own
-        return self._known[id(vehicle)][1]
+        return self._known(lambda: self._residual(vehicle), depends=params_row(vehicle, 1.0).tobytes())
 
     def _residual(self, vehicle: Vehicle) -> list[F64]:
         out = []
