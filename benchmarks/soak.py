@@ -1,7 +1,7 @@
 """`make soak`: an hour of real time at 250 Hz, `sim` and `offboard` as two processes beside two busy loops.
 
     python -m benchmarks.soak                  an hour with real-time priority, a quarter of one without
-    python -m benchmarks.soak --real-time-s 600 --normal-s 0 --json soak.json
+    python -m benchmarks.soak --real-time-s 600 --normal-s 0
 
 A bare loop of the same period and priority, which does nothing but sleep to its next deadline, runs beside each flight:
 what it shows is the machine's.  Everybody has a session of their own, as services have; without priority means without
@@ -14,11 +14,11 @@ import argparse
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
@@ -39,31 +39,35 @@ _SPINS = "while True: pass"
 
 
 def bare(seconds: float) -> dict[str, float | int]:
-    """Sleep from deadline to deadline; the same figures as a flight's."""
+    """Sleep from deadline to deadline until told to end; the same figures as a flight's."""
     import numpy as np
 
     from mavlink_bridge.pace import Pace, undisturbed
 
-    between_us = np.empty(int(1e6 * seconds / PERIOD_US))
+    between_us = np.full(int(1e6 * seconds / PERIOD_US), float(PERIOD_US))
+    ended: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, frame: ended.append(number))
     with undisturbed(real_time=True) as is_ahead:
         pace = Pace(PERIOD_US, is_ahead=is_ahead)
         pace.wait()
         for k in range(len(between_us)):
             pace.wait()
             between_us[k] = pace.between_us
-    late_us = np.maximum(0.0, between_us - PERIOD_US)
+            if ended:
+                break
+    late_us = np.maximum(0.0, between_us[: k + 1] - PERIOD_US)
     return {
         "p50": float(np.percentile(late_us, 50)), "p99": float(np.percentile(late_us, 99)),
-        "max": float(late_us.max()), "gaps": int((between_us > GAP_US).sum()),
+        "max": float(late_us.max()), "gaps": int((late_us > GAP_US - PERIOD_US).sum()),
     }  # fmt: skip
 
 
 @contextlib.contextmanager
-def _running(*commands: list[str], folder: str) -> Iterator[list[subprocess.Popen[str]]]:
+def _running(*commands: list[str]) -> Iterator[list[subprocess.Popen[str]]]:
     started: list[subprocess.Popen[str]] = []
     try:
         for command in commands:
-            started.append(subprocess.Popen(command, cwd=folder, env=_environment(), stdout=subprocess.PIPE, text=True))
+            started.append(subprocess.Popen(command, env=_environment(), stdout=subprocess.PIPE, text=True))
         yield started
     finally:
         for process in started:
@@ -75,25 +79,25 @@ def _environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
 
 
-def flight(seconds: float, prefix: tuple[str, ...], port: int) -> dict[str, Any]:
+def flight(seconds: float, prefix: tuple[str, ...], port: int, out: Path) -> dict[str, Any]:
     """Hover for so long beside a bare loop and busy ones; the flight's JSON and the bare loop's figures."""
+    out.mkdir(parents=True)
     python, cli = [*prefix, sys.executable], [*prefix, sys.executable, "-m", "flightstack"]
     busy = [[*_NORMAL, sys.executable, "-c", _SPINS]] * _BUSY
-    loop = [*python, "-m", "benchmarks.soak", "--bare", str(seconds)]
-    with tempfile.TemporaryDirectory() as folder:
-        sim = [*cli, "sim", "--port", str(port), "--gcs-port", str(port + 1)]
-        with _running(sim, *busy, loop, folder=folder) as (vehicle, *_, beside):
-            assert vehicle.stdout is not None
-            vehicle.stdout.readline()
-            command = [*cli, "offboard", "--connect", f"udpin:127.0.0.1:{port}", "--arm", "--scenario", "hover"]
-            command += ["--duration", str(seconds), "--out", folder, "--json", "flight.json"]
-            code = subprocess.run(command, cwd=folder, env=_environment(), stdout=subprocess.DEVNULL, check=False)
-            alone = json.loads(beside.communicate(timeout=_BESIDE_S)[0])
-        file = Path(folder) / "flight.json"
-        if not file.exists():
-            sys.exit(f"error: offboard ended with exit code {code.returncode} and no result")
-        result = json.loads(file.read_text())
-    return {"exit_code": code.returncode, "bare": alone, "load": os.getloadavg()[0], **result}
+    loop = [*python, "-m", "benchmarks.soak", "--bare", str(seconds + _BESIDE_S)]
+    sim = [*cli, "sim", "--port", str(port), "--gcs-port", str(port + 1)]
+    command = [*cli, "offboard", "--connect", f"udpin:127.0.0.1:{port}", "--arm", "--scenario", "hover"]
+    command += ["--duration", str(seconds), "--out", str(out), "--json", str(out / "flight.json")]
+    with _running(sim, *busy, loop) as (vehicle, *_, beside):
+        assert vehicle.stdout is not None
+        vehicle.stdout.readline()
+        code = subprocess.run(command, env=_environment(), stdout=subprocess.DEVNULL, check=False).returncode
+        beside.terminate()
+        alone = json.loads(beside.communicate(timeout=_BESIDE_S)[0])
+    if not (out / "flight.json").exists():
+        sys.exit(f"error: offboard ended with exit code {code} and no result")
+    result = json.loads((out / "flight.json").read_text())
+    return {"exit_code": code, "bare": alone, "load": os.getloadavg()[0], **result}
 
 
 def words(name: str, found: dict[str, Any]) -> str:
@@ -123,7 +127,7 @@ def main() -> None:
     parser.add_argument("--real-time-s", type=float, default=3600.0)
     parser.add_argument("--normal-s", type=float, default=900.0)
     parser.add_argument("--port", type=int, default=14_660)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("runs") / f"soak-{datetime.now():%Y%m%d-%H%M%S}")
     parser.add_argument("--bare", type=float, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.bare:
@@ -135,10 +139,9 @@ def main() -> None:
     found = {}
     for name, seconds, prefix in ((_REAL_TIME, options.real_time_s, _OWN), ("normal", options.normal_s, _NORMAL)):
         if seconds:
-            found[name] = flight(seconds, prefix, options.port)
+            found[name] = flight(seconds, prefix, options.port, (options.out / name).absolute())
             print(words(name, found[name]), flush=True)
-            if options.json is not None:
-                options.json.write_text(json.dumps(found, indent=1) + "\n")
+            (options.out / "soak.json").write_text(json.dumps(found, indent=1) + "\n")
     said = [words for words in (shortcoming(*each) for each in found.items()) if words]
     sys.exit("\n".join(said) if said else 0)
 
