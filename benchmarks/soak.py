@@ -36,6 +36,8 @@ _NORMAL = ("setsid", "setpriv", "--inh-caps=-sys_nice", "--bounding-set=-sys_nic
 _REAL_TIME = "real-time"
 _BESIDE_S = 600.0
 _SPINS = "while True: pass"
+_QUAD, _CAPACITY = campaign.ROOT / "flightstack/data/vehicles" / "quad-x.toml", "capacity_as = 18000"
+"""Ten times the battery: with its own the vehicle hovers for 27 minutes, then returns."""
 
 
 def bare(seconds: float) -> dict[str, float | int]:
@@ -82,15 +84,17 @@ def _environment() -> dict[str, str]:
 def flight(seconds: float, prefix: tuple[str, ...], port: int, out: Path) -> dict[str, Any]:
     """Hover for so long beside a bare loop and busy ones; the flight's JSON and the bare loop's figures."""
     out.mkdir(parents=True)
+    vehicle = out / "vehicle.toml"
+    vehicle.write_text(_QUAD.read_text().replace(_CAPACITY, f"{_CAPACITY}0"))
     python, cli = [*prefix, sys.executable], [*prefix, sys.executable, "-m", "flightstack"]
     busy = [[*_NORMAL, sys.executable, "-c", _SPINS]] * _BUSY
     loop = [*python, "-m", "benchmarks.soak", "--bare", str(seconds + _BESIDE_S)]
-    sim = [*cli, "sim", "--port", str(port), "--gcs-port", str(port + 1)]
+    sim = [*cli, "sim", "--port", str(port), "--gcs-port", str(port + 1), "--vehicle", str(vehicle)]
     command = [*cli, "offboard", "--connect", f"udpin:127.0.0.1:{port}", "--arm", "--scenario", "hover"]
     command += ["--duration", str(seconds), "--out", str(out), "--json", str(out / "flight.json")]
-    with _running(sim, *busy, loop) as (vehicle, *_, beside):
-        assert vehicle.stdout is not None
-        vehicle.stdout.readline()
+    with _running(sim, *busy, loop) as (simulator, *_, beside):
+        assert simulator.stdout is not None
+        simulator.stdout.readline()
         code = subprocess.run(command, env=_environment(), stdout=subprocess.DEVNULL, check=False).returncode
         beside.terminate()
         alone = json.loads(beside.communicate(timeout=_BESIDE_S)[0])

@@ -193,7 +193,7 @@ def _standby(now: Situation, now_us: int) -> Decision | None:
     if not missing:
         return Decision(HandshakeEvent.READY)
     if _in_state_s(now, now_us) > config.ready_timeout_s:
-        words = f"not ready within {config.ready_timeout_s:g} s: {', '.join(missing)}{_says(view, now_us, 10)}"
+        words = f"not ready within {config.ready_timeout_s:g} s: {', '.join(missing)}{view.says(now_us, 10)}"
         return Decision(HandshakeEvent.TIMEOUT, words)
     return None
 
@@ -278,13 +278,13 @@ def _why_refused(now: Situation, command: px4.Cmd, now_us: int) -> str:
     if result == 0:
         disarmed = command is px4.Cmd.COMPONENT_ARM_DISARM and not now.view.armed
         answer = "accepted, and then the vehicle was disarmed" if disarmed else answer
-    return answer + (_says(now.view, now_us, 12) or " (the vehicle gave no reason)")
+    return answer + (now.view.says(now_us, 12) or " (the vehicle gave no reason)")
 
 
 def _offboard(now: Situation, now_us: int) -> Decision | None:
     view = now.view
     if ended := view.ended_by_others(now.entered_us):
-        return Decision(HandshakeEvent.TOOK_OVER, ended + (_says(view, now_us, 3) if view.armed else ""))
+        return Decision(HandshakeEvent.TOOK_OVER, ended + (view.says(now_us, 3) if view.armed else ""))
     if now.stalls.is_held:
         return _held(now, now_us)
     if view.mode_at_us > now.entered_us and not view.in_offboard:
@@ -292,7 +292,7 @@ def _offboard(now: Situation, now_us: int) -> Decision | None:
             return Decision(HandshakeEvent.STALLED)
         why = now.stalls.asked_lately(view.custom_mode, now_us) or ", not by this companion"
         reason = f"the vehicle left OFFBOARD for {view.mode_name}{why}: hands off"
-        return Decision(HandshakeEvent.TOOK_OVER, reason + _says(view, now_us, 3))
+        return Decision(HandshakeEvent.TOOK_OVER, reason + view.says(now_us, 3))
     if now.ending:
         return Decision(HandshakeEvent.ENDED, now.ending)
     if now.trouble:
@@ -323,7 +323,7 @@ def _retaking(now: Situation, now_us: int) -> Decision | None:
     seen = view.mode_at_us > now.entered_us
     if seen and not view.in_offboard and not stalls.own_hold(view.custom_mode):
         reason = f"after a stall the vehicle is in {view.mode_name}, not by this companion: hands off"
-        return Decision(HandshakeEvent.TOOK_OVER, reason + _says(view, now_us, 3))
+        return Decision(HandshakeEvent.TOOK_OVER, reason + view.says(now_us, 3))
     if seen and view.in_offboard and (now.entered_us <= asked_us < view.mode_at_us or stalls.hold_was_lost(view)):
         stalls.is_back(now_us, hold_seen=asked_us >= now.entered_us)
         return Decision(HandshakeEvent.RETAKEN)
@@ -354,7 +354,7 @@ def _landing(now: Situation, now_us: int) -> Decision | None:
         return Decision(
             HandshakeEvent.TIMEOUT,
             f"{why}{now.landing_limit_s:.0f} s after Land was commanded the vehicle is armed, {where} by its own "
-            f"report{stands}: left to PX4{_says(view, now_us, 10)}",
+            f"report{stands}: left to PX4{view.says(now_us, 10)}",
         )
     return None
 
@@ -376,12 +376,6 @@ def _holding(now: Situation, now_us: int) -> Decision | None:
 
 def _in_state_s(now: Situation, now_us: int) -> float:
     return (now_us - now.entered_us) / SECOND_US
-
-
-def _says(view: VehicleView, now_us: int, window_s: int) -> str:
-    """The vehicle's own warnings of the last seconds, in brackets; empty where there are none."""
-    texts = "; ".join(dict.fromkeys(view.recent_texts(now_us, window_s * SECOND_US)))
-    return f" (vehicle says: {texts})" if texts else ""
 
 
 _LOOKS: dict[State, Callable[[Situation, int], Decision | None]] = {

@@ -19,6 +19,10 @@ from mavlink_bridge.vehicle_clock import VehicleClock
 from mavlink_bridge.vehicle_params import ParamReader
 
 _TEXT_MEMORY = 50
+_WARNING = 4
+"""MAV_SEVERITY."""
+_LOW_PERCENT = 15
+"""Below it PX4 warns by default (BAT_LOW_THR)."""
 _HEARTBEAT_LATE_US = 2_500_000
 """PX4 sends one a second, and a vehicle's second beside a busy machine lasts longer."""
 _MODE_AND_INTENTION_US = 1_000_000
@@ -58,6 +62,8 @@ class VehicleView:
         self.version: m.AutopilotVersion | None = None
         self.streams = Streams()
         self.battery_v = float("nan")
+        self.charge_percent = -1
+        """Of the battery; -1: not told."""
         self.can_arm = False
         self.other_system = 0
         """Another autopilot that speaks to our port from one of its own; 0: none."""
@@ -154,9 +160,13 @@ class VehicleView:
         if handler is not None:
             handler(self, message, now_us)
 
-    def recent_texts(self, now_us: int, window_us: int) -> list[str]:
-        """Texts of severity warning or worse received within the window, oldest first."""
-        return [text for at_us, severity, text in self.texts if now_us - at_us <= window_us and severity <= 4]
+    def says(self, now_us: int, window_s: int) -> str:
+        """Its warnings (or worse) of the last seconds and a low battery, in brackets; empty where there are none."""
+        since_us = now_us - window_s * 1_000_000
+        texts = [text for at_us, severity, text in self.texts if at_us >= since_us and severity <= _WARNING]
+        if 0 <= self.charge_percent < _LOW_PERCENT:
+            texts.append(f"battery at {self.charge_percent} %")
+        return f" (vehicle says: {'; '.join(dict.fromkeys(texts))})" if texts else ""
 
     def _on_heartbeat(self, message: m.Heartbeat, now_us: int) -> None:
         self.heartbeat, self.heartbeat_at_us = message, now_us
@@ -203,7 +213,7 @@ class VehicleView:
 
     def _on_status(self, message: m.SysStatus, now_us: int) -> None:
         self.can_arm = bool(message.health & _PREARM_BIT)
-        self.battery_v = message.voltage_v
+        self.battery_v, self.charge_percent = message.voltage_v, message.remaining
 
     def _on_text(self, message: m.Statustext, now_us: int) -> None:
         """Put the 50-character chunks of a long text together; a chunk that is full has a next one."""

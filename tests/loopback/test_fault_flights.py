@@ -131,3 +131,14 @@ def test_a_flight_with_a_fault_fails_and_says_so_in_its_log(tmp_path: Path) -> N
     assert not result.passed
     events = read(tmp_path / "flight.mcap").tables["/events"]
     assert ("fault", "setpoint-loss begins") in list(zip(events["name"], events["text"], strict=True))
+
+
+def test_who_hands_over_at_a_low_battery_says_so(tmp_path: Path) -> None:
+    """PX4 itself says "Failsafe activated, entering Hold for 5 seconds"; SYS_STATUS has the charge, once a second."""
+    options = FlyOptions(
+        scenario="hover", duration_s=8.0, fault="low-battery:0.1@2,low-battery:0.06@5", out=tmp_path, learning=False
+    )
+    result = fly(options, report_wanted=lambda result: False).as_json()
+    assert result["completed"] is False
+    assert "not by this companion: hands off (vehicle says: " in str(result["reason"])
+    assert "battery at 10 %" in str(result["reason"])
