@@ -37,9 +37,10 @@ def situation(state: State, view: dict[str, Any] | None = None, **changes: Any) 
         landed_state=1, intended_at_us=1, round_trip_us=55_000, mode_at_us=0, heartbeat_at_us=0, heard_at_us=ENTERED,
         stood_us=0, stands=False, custom_mode=px4.MODE_OFFBOARD, on_ground=False, other_system=0,
         params=SimpleNamespace(settled=True, values=SAFE, missing=()),
-        recent_texts=lambda now_us, window_us: [],
+        texts=(), charge_percent=-1,
     )  # fmt: skip
     seen.ended_by_others = partial(VehicleView.ended_by_others, seen)
+    seen.says = partial(VehicleView.says, seen)
     vars(seen).update(view or {})
     asked = changes.pop("asked", {})
     status = lambda command: SimpleNamespace(**{**REQUEST, **asked.get(command, {})})  # noqa: E731
@@ -257,24 +258,30 @@ def test_a_landing_may_take_a_minute_and_the_height_at_three_tenths_of_a_metre_a
 
 
 def test_what_the_vehicle_said_lately_is_told_once() -> None:
-    windows = []
+    def texts(now_us: int) -> dict[str, Any]:
+        return {"texts": (
+            (now_us - 11 * S, 4, "long ago"), (now_us - 5 * S, 4, "lately"), (now_us - S, 6, "no warning"),
+            (now_us - S, 4, "low battery"), (now_us, 4, "low battery"), (now_us, 2, "no manual control"),
+        )}  # fmt: skip
 
-    def texts(now_us: int, window_us: int) -> list[str]:
-        windows.append(window_us)
-        return ["low battery", "low battery", "no manual control"]
-
-    view = {**FLYING, "recent_texts": texts}
-    refused = decide(situation(State.STREAMING, {**view, "armed": False}), ENTERED + 11 * S)
-    taken = decide(situation(State.OFFBOARD, {**AWAY, "recent_texts": texts}), ENTERED + S)
-    slow = decide(situation(State.LANDING, {**ARMED, "recent_texts": texts}, landing_limit_s=0.5), ENTERED + S)
-    late = decide(situation(State.STANDBY, {"recent_texts": texts, "heard_at_us": ENTERED + 31 * S}, fresh=False),
-                  ENTERED + 31 * S)  # fmt: skip
-    for decision in (taken, slow, late):
+    now_us, late_us = ENTERED + S, ENTERED + 31 * S
+    refused = decide(situation(State.STREAMING, {**FLYING, "armed": False}), ENTERED + 11 * S)
+    taken = decide(situation(State.OFFBOARD, {**AWAY, **texts(now_us)}), now_us)
+    slow = decide(situation(State.LANDING, {**ARMED, **texts(now_us)}, landing_limit_s=0.5), now_us)
+    late = decide(situation(State.STANDBY, {**texts(late_us), "heard_at_us": late_us}, fresh=False), late_us)
+    for decision, before in ((taken, ""), (slow, "lately; "), (late, "lately; ")):
         assert decision is not None
-        assert decision.reason.endswith(" (vehicle says: low battery; no manual control)")
+        assert decision.reason.endswith(f" (vehicle says: {before}low battery; no manual control)")
     assert refused is not None
     assert refused.event is E.LINK_LOST  # 11 s without a word
-    assert windows == [3 * S, 10 * S, 10 * S]
+
+
+@pytest.mark.parametrize(("charge", "words"), [(14, " (vehicle says: battery at 14 %)"), (15, ""), (-1, "")])
+def test_a_battery_of_which_px4_warns_is_told(charge: int, words: str) -> None:
+    """BAT_LOW_THR is 0.15 by default; -1: not known (MAVLink, SYS_STATUS)."""
+    taken = decide(situation(State.OFFBOARD, {**AWAY, "charge_percent": charge}), ENTERED + S)
+    assert taken is not None
+    assert taken.reason.endswith(f"hands off{words}")
 
 
 def test_why_a_flight_was_refused_is_told() -> None:
