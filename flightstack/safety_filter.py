@@ -14,6 +14,7 @@ The filter engages once h, of the predicted and of the measured state, has been 
 from __future__ import annotations
 
 import math
+from operator import le
 from typing import NamedTuple
 
 import numpy as np
@@ -160,9 +161,8 @@ class BarrierFilter:
         """
         if state.memory[0, M_MODE] != ENGAGED or state.handed_over:
             return setpoint
-        row, (low, high) = setpoint.row, state.rest_ned_m
-        north, east, down = zip(low.tolist(), row[:3].tolist(), high.tolist(), strict=True)
-        if north[0] <= north[1] <= north[2] and east[0] <= east[1] <= east[2] and down[0] <= down[1] <= down[2]:
+        row, (low, high) = setpoint.row, state.rest_ned_m.tolist()
+        if all(map(le, low, at := row[:3].tolist())) and all(map(le, at, high)):
             return setpoint
         inside = np.clip(row[:3], low, high)
         bent = row.copy()
@@ -195,11 +195,15 @@ class BarrierFilter:
         kept = status == WAITING and row.item(F_INTERVENED) == 1.0
         if (status == WAITING and not kept) or not math.isfinite(row.item(F_WANTED)):  # no number: the guard judges
             return state, command, Filtered(row)
-        u, rate = np.empty(3), command.rate_frd_radps.copy()
         if kept:
+            rate = command.rate_frd_radps.copy()
             return state, self._steered(state, command, row[11:14].copy(), rate, row), Filtered(row)
-        wanted_yaw = rate.item(2)
-        yaw = rate[2] = _gently(wanted_yaw, measurement.row.item(_YAW_RATE), self.limits.rate_max_radps[2])
+        wanted_yaw = command.rate_frd_radps.item(2)
+        yaw = _gently(wanted_yaw, measurement.row.item(_YAW_RATE), self.limits.rate_max_radps[2])
+        if status == PASSED and yaw == wanted_yaw:
+            return state, command, Filtered(row)
+        u, rate = np.empty(3), command.rate_frd_radps.copy()
+        rate[2] = yaw
         if status == CHANGED:
             solution = self._qp.solve(self._rows, self._low, self._high, row[8:11])
             u, row[F_ITERATIONS], row[F_RESIDUAL] = solution.x, solution.iterations, solution.residual

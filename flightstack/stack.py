@@ -31,6 +31,7 @@ from flightstack.governor import Governor, GovernorState
 from flightstack.guard import Guard, carried_thrust, stale
 from flightstack.lift_off import LiftOff
 from flightstack.model import Limiter, Limits, Model
+from flightstack.rows import ATTITUDE, F_STATUS, Q_Z
 from flightstack.seams import Certifier, Controller, Learner, NoCertifier, NoFilter, NoLearner, SafetyFilter
 from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord
 from flightstack.under_way import UnderWay
@@ -161,7 +162,7 @@ class Stack:
             if certificate is not None:
                 safe = self.filter.adopt(safe, certificate)
                 premises = _watched(certificate, self.model)
-            if premises.version >= 0 and before.status >= _ENGAGED:
+            if premises.version >= 0 and before.row.item(F_STATUS) >= _ENGAGED:
                 since = Seen(sent, learned, applied.ratio, (now_us - sent.t_us) * 1e-6, is_inside(before))
                 premises = watch(premises, seen, since, self.model.mass_kg, setpoint.yaw_rad)
             setpoint = setpoint if premises.rest is None else premises.rest
@@ -181,12 +182,12 @@ class Stack:
             control = self._pilot(premises).init(now_us)
         if not guard:
             carried = carried_thrust(carried, command, seen, now_us - sent.t_us)
-        record = TickRecord(now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered, governed)
-        after = StackState(
+        said = now_us, setpoint, seen, proposal, learned, command, saturated, guard, filtered, governed
+        after = (
             control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, governing, premises,
             learned if usable else state.learned, state.under_way, lift_off,
         )  # fmt: skip
-        return after, command, record
+        return _made(StackState, after), command, _made(TickRecord, said)
 
     def _pilot(self, watch: WatchState) -> Controller:
         return self.controller if watch.rest is None else self.braking
@@ -202,8 +203,7 @@ class Stack:
         """The command as torque's bounds leave it, and whether they changed it."""
         if self.governor is None or state is None:
             return state, command, False
-        w, _, _, z = seen.q_ned_frd.tolist()
-        heading_rad = 2.0 * math.atan2(z, w)
+        heading_rad = 2.0 * math.atan2(seen.row.item(ATTITUDE + Q_Z), seen.row.item(ATTITUDE))
         state, norm, rate = self.governor.step(state, command, self.filter.governed(safe), heading_rad)
         if rate is None and norm == command.thrust_norm:
             return state, command, False
@@ -211,6 +211,8 @@ class Stack:
         return state, Command(command.t_us, thrust, norm, command.rate_frd_radps if rate is None else rate), True
 
 
+_made = tuple.__new__
+"""Half as long as a named tuple's own way, which looks at its arguments' names."""
 _NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))
 _NOT_LEARNING = Learned.nothing()
 _UNFILTERED = Filtered.nothing()

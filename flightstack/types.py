@@ -319,7 +319,8 @@ class TickRecord(NamedTuple):
     @property
     def delay_s(self) -> float:
         """Delay of commands that the learner goes by; NaN where nothing learns."""
-        return self.learned.delay_s if self.learned.stage >= 0.0 else math.nan
+        learned = self.learned.row
+        return learned.item(rows.L_DELAY) if learned.item(rows.L_STAGE) >= 0.0 else math.nan
 
     @property
     def digest(self) -> int:

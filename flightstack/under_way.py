@@ -47,7 +47,7 @@ from flightstack.barrier.response import (
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import Entry, njit
 from flightstack.model import Model, thrust_to_norm
-from flightstack.rows import ATTITUDE, FORCE_X, FORCE_Y, FORCE_Z, VEL_D, VEL_N
+from flightstack.rows import ATTITUDE, FORCE_X, FORCE_Y, FORCE_Z, L_DELAY, L_GAIN, VEL_D, VEL_N
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Learned, Measurement, Tuple3
 
 _MOST_US = 50_000
@@ -88,13 +88,15 @@ class UnderWay:
     ) -> Measurement:  # fmt: skip
         """The state at `now_us`; `sent`: the newest command, as applied; `in_force`: a certificate (`packed`)."""
         age_us, late_us = max(now_us - measurement.t_us, 0), min(max(measurement.late_us, 0), LATE_MOST_US)
-        delay_s = learned.delay_s if learned.delay_s >= 0.0 else self._delay_s + 1e-6 * late_us
+        delay_s, gain = learned.row.item(L_DELAY), learned.row.item(L_GAIN)
+        if not delay_s >= 0.0:
+            delay_s = self._delay_s + 1e-6 * late_us
         row = measurement.row.copy() if age_us + late_us else measurement.row  # then nothing is written
         felt = row.copy() if late_us else row
         to_us = measurement.t_us + min(age_us, _MOST_US)
         times_us = (float(measurement.t_us), float(to_us), float(to_us + late_us))
         _CARRY.call(
-            memory, self._chain, round(1e6 * delay_s), learned.thrust_gain, times_us,
+            memory, self._chain, round(1e6 * delay_s), gain, times_us,
             (float(sent.t_us), sent.thrust_norm, sent.rate_frd_radps), row, felt,
             _NONE if in_force is None else in_force,
         )  # fmt: skip

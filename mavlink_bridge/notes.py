@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from flightstack.barrier.premise_watch import NAMES
+from flightstack.rows import F_ENDED_BY, RATE_X
 from flightstack.types import TickRecord
 from mavlink_bridge.faults import FAULTS
 from mavlink_bridge.onlookers import Observer
@@ -22,6 +23,7 @@ _SWING_RAD, _SWING_US = 0.4, 3_000_000
 """Of the angle turned otherwise than sent (rms), and over how long."""
 _SWING_MOST, _SWING_GAP_US = 0.5, 100_000
 """What a tick and a gap between two count for at most (rad^2, us): a single tumble is the guard's."""
+_RATES = slice(RATE_X, RATE_X + 3)
 _TURN_US = 1_000_000
 """Over how long a turn is summed: a rate that is off for good counts as the angle of one second."""
 
@@ -36,7 +38,7 @@ class BrokenPremise:
 
     def take(self, record: TickRecord) -> str:
         """A tick; why the flight ends now, empty: it goes on."""
-        ended = record.filtered.ended_by
+        ended = record.filtered.row.item(F_ENDED_BY)
         if not ended > 0.0:
             self._since_us = -1
             return ""
@@ -72,8 +74,8 @@ class Swinging:
         left, sum_s = 1.0 - since_us / _TURN_US, 1e-6 * since_us
         self._t_us = record.t_us
         if not math.isnan(record.proposal.thrust_n):  # else what was measured is not fit to be judged by
-            turned = zip(self._apart, record.measurement.rate_frd_radps.tolist(), self._sent, strict=True)
-            x, y, z = (left * apart + sum_s * (measured - sent) for apart, measured, sent in turned)
+            (x, y, z), (p, q, r), (roll, pitch, yaw) = self._apart, record.measurement.row[_RATES].tolist(), self._sent
+            x, y, z = left * x + sum_s * (p - roll), left * y + sum_s * (q - pitch), left * z + sum_s * (r - yaw)
             square = x * x + y * y + z * z
             if square >= 0.0:  # no number where nothing was sent before
                 self._apart = (x, y, z)

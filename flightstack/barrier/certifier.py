@@ -46,6 +46,7 @@ from flightstack.barrier.turning import stays_within, turning
 from flightstack.learning.learner import LearnerState, Learnt
 from flightstack.model import Limits, Model
 from flightstack.region import Region
+from flightstack.rows import L_CHANGES, L_STAGE
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Filtered, Learned, Measurement
 
 _VALID = 2
@@ -120,7 +121,7 @@ class OnlineCertifier:
         if state.origin_ned_m is None:
             state.origin_ned_m = measurement.pos_ned_m.copy()
         state.lateness.take(measurement)
-        if learned.stage < _VALID:
+        if learned.row.item(L_STAGE) < _VALID:
             return state, None
         self._watch(state, measurement, learned)
         state.flown.take(measurement, self.region, state.origin_ned_m)
@@ -153,9 +154,10 @@ class OnlineCertifier:
 
     def _watch(self, state: CertifierState, measurement: Measurement, learned: Learned) -> None:
         """Whether what is certified is still so; where it is not, the work begins anew."""
-        if learned.changes > state.changes:
+        changes = learned.row.item(L_CHANGES)
+        if changes > state.changes:
             state.work, state.begun_us = None, -(10**12)
-        state.changes = learned.changes
+        state.changes = changes
         certificate = state.certificate
         if certificate is None or state.falsified:  # nothing to watch, or known already and being worked on
             return

@@ -22,7 +22,7 @@ from flightstack.barrier.records import AXES, AxisCertificate, Certificate
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import Entry, njit
 from flightstack.model import Model
-from flightstack.rows import FORCE_X, FORCE_Y, FORCE_Z
+from flightstack.rows import FORCE_X, FORCE_Y, FORCE_Z, L_APPLIED
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Learned, Measurement
 
 HAND_OVER = "hand_over"
@@ -58,7 +58,7 @@ class Witness:
         """Why the certificate is falsified (empty where it is not), and by how much, (3,) m/s^2, at least 0."""
         if certificate is not self._certificate:
             self._take(certificate)
-        thrust_mps2 = learned.applied_thrust_n / model.mass_kg
+        thrust_mps2 = learned.row.item(L_APPLIED) / model.mass_kg
         dt_s = min(1e-6 * (measurement.t_us - self._seen_us), _GAP_MAX_S) if self._seen_us >= 0 else 0.0
         self._seen_us = measurement.t_us
         over = _COMPARE.call(

@@ -35,7 +35,19 @@ from flightstack.barrier.lateness import ROUNDED_S, ages_of, always_s, lateness_
 from flightstack.barrier.premises import Premises
 from flightstack.frames import quat_to_matrix
 from flightstack.jit import Entry, njit
-from flightstack.rows import L_GAIN, L_RESIDUAL, VEL_D, VEL_E, VEL_N
+from flightstack.rows import (
+    F_H,
+    F_H_STATE,
+    F_STATUS,
+    L_APPLIED,
+    L_GAIN,
+    L_LATENCY,
+    L_RESIDUAL,
+    L_STAGE,
+    VEL_D,
+    VEL_E,
+    VEL_N,
+)
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Filtered, FlatOutput, Learned, Measurement, Tuple3
 
 NAMES = (
@@ -101,7 +113,8 @@ _LEAN, _THRUST, _DELAY, _JITTER, _INTERVAL, _BATTERY, _DRAG, _AGE = 6, 10, 16, 1
 
 def is_inside(filtered: Filtered) -> bool:
     """Whether the filter found the vehicle inside with the h that it engages at, and a command that keeps it there."""
-    return filtered.status in (PASSED, CHANGED) and min(filtered.h, filtered.h_state) >= ENGAGE_H
+    said = filtered.row.item
+    return said(F_STATUS) in (PASSED, CHANGED) and min(said(F_H), said(F_H_STATE)) >= ENGAGE_H
 
 
 def watched(
@@ -140,8 +153,9 @@ def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: floa
     ages_s, learned = ages_of(measurement), seen.learned
     latency_s = _latency_s(measurement, learned, state.numbers.item(_DELAY))
     gain = math.nan
-    if learned.stage >= _VALID:
-        gain = _GAIN.call(state.numbers, state.down, measurement.row, learned.row, learned.applied_thrust_n / mass_kg)
+    if learned.row.item(L_STAGE) >= _VALID:
+        applied_mps2 = learned.row.item(L_APPLIED) / mass_kg
+        gain = _GAIN.call(state.numbers, state.down, measurement.row, learned.row, applied_mps2)
     ranged = seen.sent.thrust_n / mass_kg, seen.applied_ratio, gain, latency_s
     broken = _BROKEN.call(state.numbers, measurement.row, ages_s, ranged, seen.interval_s, measurement.battery_v)
     span_s = min(max(seen.interval_s, 0.0), _GAP_MAX_S)
@@ -158,8 +172,9 @@ def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: floa
 
 def _latency_s(measurement: Measurement, learned: Learned, least_s: float) -> float:
     """What is known of the commands' latency; NaN: nothing.  The link's part of it breaks no lower end."""
-    if learned.latency_s > 0.0:
-        return learned.latency_s
+    known_s = learned.row.item(L_LATENCY)
+    if known_s > 0.0:
+        return known_s
     return max(1e-6 * measurement.late_us, least_s) if measurement.late_us else math.nan
 
 

@@ -15,11 +15,12 @@ import math
 import struct
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from flightstack.checked import only
 from flightstack.types import InputError, TickRecord
 
-_TICK = struct.Struct("<q20d3q5d")
+_TIME, _AGES, _DELAY = struct.Struct("<q"), struct.Struct("<3qd"), struct.Struct("<d")
 _KEYS = ("log_sha256", "vehicle_sha256", "from_us", "until_us")
 
 
@@ -73,12 +74,12 @@ class Trail:
         seen, command = record.measurement, record.command
         delay_s = record.delay_s
         delay_s = -1.0 if math.isnan(delay_s) else delay_s
-        self._hash.update(
-            _TICK.pack(
-                record.t_us, *seen.row.tolist(), seen.position_age_us, seen.attitude_age_us, seen.imu_age_us,
-                command.thrust_norm, *command.rate_frd_radps.tolist(), delay_s,
-            )
+        ages_us = seen.position_age_us, seen.attitude_age_us, seen.imu_age_us
+        numbers: Any = (
+            _TIME.pack(record.t_us), seen.row, _AGES.pack(*ages_us, command.thrust_norm), command.rate_frd_radps,
+            _DELAY.pack(delay_s),
         )  # fmt: skip
+        self._hash.update(b"".join(numbers))
         self.from_us = self.from_us if self.from_us >= 0 else record.t_us
         self.until_us = record.t_us
 

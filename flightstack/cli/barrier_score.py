@@ -29,7 +29,7 @@ from flightstack.governor import GovernorLimits
 from flightstack.learning.learner import LearnerState
 from flightstack.model import Model
 from flightstack.region import Region
-from flightstack.rows import F_PREMISE, F_STATUS
+from flightstack.rows import F_ENDED_BY, F_INTERVENED, F_PREMISE, F_STATUS
 from flightstack.seams import Certifier, SafetyFilter
 from flightstack.types import F64, I64, Command, Filtered, FlatOutput, Learned, Measurement
 from flightstack_logs.report.histogram import counts, edges_us
@@ -94,7 +94,7 @@ class TimedFilter:
         began = time.perf_counter_ns()
         after = self._filter.step(state, measurement, command, sent, learned)
         took = time.perf_counter_ns() - began
-        if after[2].status >= SOLVED:
+        if after[2].row.item(F_STATUS) >= SOLVED:
             self.solve_ns.append(took)
         return after
 
@@ -305,12 +305,14 @@ class FilterScore:
 
     def add(self, flight_s: float, filtered: Filtered, *, climbing: bool, governed: bool = False) -> None:
         """One tick, `flight_s` after take-off began."""
-        status = filtered.status
-        self.acting += status >= SOLVED
-        self.governed += governed and status >= SOLVED
-        self.interventions += filtered.intervened == 1.0
+        said = filtered.row.item
+        status = said(F_STATUS)
+        acting = status >= SOLVED
+        self.acting += acting
+        self.governed += governed and acting
+        self.interventions += said(F_INTERVENED) == 1.0
         self.infeasible += status in FALLBACKS
-        protecting = SOLVED <= status < FALLBACKS[0] and not filtered.ended_by > 0.0
+        protecting = acting and status < FALLBACKS[0] and not said(F_ENDED_BY) > 0.0
         if not climbing:
             self._ticks += 1
             self._solved += protecting

@@ -14,6 +14,7 @@ from flightstack.calibration import STAGES
 from flightstack.cli.barrier_score import AS_PUBLISHED, WatchedCertifier
 from flightstack.cli.height_events import HeightEvents
 from flightstack.estimate_observer import POOR_MPS
+from flightstack.rows import F_INTERVENED, F_PREMISE, F_STATUS, L_CHANGES, L_STAGE
 from flightstack.scenario import Scenario
 from flightstack.types import F64, Filtered, Learned, TickRecord, Tuple3
 from flightstack.vehicle import Vehicle
@@ -83,10 +84,9 @@ class LearnerEvents:
 
     def on_learned(self, t_us: int, learned: Learned) -> None:
         """What is known at one tick."""
-        stage = learned.stage
+        stage, changes = learned.row.item(L_STAGE), learned.row.item(L_CHANGES)
         if stage < 0.0:
             return
-        changes = learned.changes
         self._recent.append(learned.row)
         if stage == self._stage:
             self._other_us = -1
@@ -126,13 +126,14 @@ class FilterEvents:
 
     def on_filtered(self, t_us: int, filtered: Filtered) -> None:
         """What the filter did at one tick."""
-        status = filtered.status
+        said = filtered.row.item
+        status, premise = said(F_STATUS), said(F_PREMISE)
         if status < 0.0:
             return
-        if filtered.premise > 0.0 and t_us >= self._premise_due_us:
+        if premise > 0.0 and t_us >= self._premise_due_us:
             self._premise_due_us = t_us + _PREMISE_PERIOD_US
-            self._say(t_us, f"premise broken: {NAMES[int(filtered.premise)]} (h {filtered.h:.3f})")
-        if filtered.intervened == 1.0 and not self._changed and status < _FALLBACK:
+            self._say(t_us, f"premise broken: {NAMES[int(premise)]} (h {filtered.h:.3f})")
+        if not self._changed and said(F_INTERVENED) == 1.0 and status < _FALLBACK:
             self._changed = True
             self._say(t_us, f"first change: wanted {_vector(filtered.wanted_acc_ned_mps2)}, sent "
                       f"{_vector(filtered.safe_acc_ned_mps2)} m/s^2 at h {filtered.h:.3f}")  # fmt: skip
@@ -291,8 +292,9 @@ class LogObserver:
         certifier, companion = self._certifier, self.companion
         if certifier is None or companion is None:
             return
-        if certifier.elsewhere is not None:
-            self._on_elsewhere(t_us, certifier.elsewhere)
+        there = certifier.elsewhere
+        if there is not None and (there.lost or len(there.served) > self._served):
+            self._on_elsewhere(t_us, there)
         if len(certifier.adopted) == self._certificates:
             return
         self._certificates = len(certifier.adopted)

@@ -25,6 +25,7 @@ from flightstack.cli.site import TimedSiteFilter
 from flightstack.cli.ticks import FlownTicks, TickTable
 from flightstack.cli.verdict import Ascent, Flown, most_rms_m, protection_of
 from flightstack.mission import first_height_m
+from flightstack.rows import L_STAGE
 from flightstack.types import F64, Learned, TickRecord
 from flightstack_logs.recorder import NoLog
 from flightstack_logs.writer import FlightLog
@@ -62,7 +63,7 @@ class FlightScore:
     def on_record(self, record: TickRecord) -> None:
         """A tick of the stack; of an estimated flight it is scored at once."""
         self._record = record
-        if self._learning and record.learned.stage >= 0.0:
+        if self._learning and record.learned.row.item(L_STAGE) >= 0.0:
             self._last_learned = record.learned
         companion, track_s = self.companion, self.track_s(record.t_us)
         if companion is None or companion.mission is None or track_s is None:

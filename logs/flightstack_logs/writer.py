@@ -31,6 +31,7 @@ from foxglove.mcap import MCAPCompression, MCAPWriteOptions, MCAPWriter
 
 from flightstack.barrier.file import certificate_to_json
 from flightstack.barrier.records import Certificate
+from flightstack.rows import F_STATUS, L_STAGE
 from flightstack.types import F64, InputError, TickRecord
 from flightstack_logs import scene as viewer
 from flightstack_logs.channels import Channel, block_channel
@@ -243,7 +244,7 @@ class FlightLog:
 
     def tick(self, record: TickRecord, t_us: int | None = None) -> None:
         """One tick: /command, /tick; at their own rates /setpoint, /control, /learner, /filter and the views."""
-        t_us, write, status = record.t_us if t_us is None else t_us, self.write, record.filtered.status
+        t_us, write, status = record.t_us if t_us is None else t_us, self.write, record.filtered.row.item(F_STATUS)
         write("/command", t_us, record.command)
         write("/tick", t_us, record)
         explained = self._blocks is None or not self._explained_us - _EXPLAINING_US <= t_us < self._explained_us
@@ -251,7 +252,7 @@ class FlightLog:
             self._explained_us = t_us - t_us % _EXPLAINING_US + _EXPLAINING_US
             write("/setpoint", t_us, record.reference)
             write("/control", t_us, record)
-            if record.learned.stage >= 0.0:
+            if record.learned.row.item(L_STAGE) >= 0.0:
                 write("/learner", t_us, record.learned)
         if status >= 0.0 and (explained or status != self._status or status >= _CHANGED):
             write("/filter", t_us, record.filtered)
