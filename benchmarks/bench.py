@@ -32,7 +32,8 @@ import numpy as np
 from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
 from threadpoolctl import threadpool_limits
 
-from benchmarks import barrier, campaign, gap_timing, plant
+from benchmarks import barrier, bench_peers, campaign, gap_timing, plant
+from benchmarks.bench_peers import Work
 from flightstack.cli import files
 from flightstack.cli.flight import FlyOptions, fly
 from flightstack.cli.versions import commit
@@ -58,8 +59,7 @@ _COLUMNS = 5
 COMPILED, PYTHON = "reference, compiled", "reference, Python"
 UNHELD = ""
 """Compared with nothing: a busy neighbour makes what it likes of a 99th percentile."""
-Work = Callable[[], int]
-"""Does some work; how many pieces that were."""
+GP, LINK, PLANT, LOG = "Gaussian process, 300 points, 9 to 6", "MAVLink message, both ends", "plant, no effect", "log"
 
 
 @dataclass(slots=True)
@@ -71,6 +71,8 @@ class Part:
     kernel: str
     measure: Callable[[], float]
     """Time of a piece, us."""
+    beside: str = ""
+    """Part that it is a peer of, or a floor."""
     us: float = field(default=np.inf)
     """The least so far."""
 
@@ -117,9 +119,9 @@ _MATRIX, _OUT = np.cos(np.arange(90_000.0)).reshape(300, 300), np.empty(300)
 
 
 def _gp_step() -> Work:
-    rng = np.random.default_rng(0)
-    x, y = rng.normal(size=(600, 9)), rng.normal(size=(600, 6))
-    gp = RecursiveGP(SquaredExponential(1.0, tuple(np.linspace(1.0, 2.0, 9))), 0.01, input_dim=9, output_dim=6)
+    x, y = bench_peers.points()
+    kernel = SquaredExponential(1.0, tuple(bench_peers.SCALES))
+    gp = RecursiveGP(kernel, bench_peers.NOISE, input_dim=bench_peers.INPUTS, output_dim=bench_peers.OUTPUTS)
     gp.add(x[:300], y[:300])
 
     def work() -> int:
@@ -224,8 +226,8 @@ def parts(folder: Path) -> list[Part]:
     lines = [
         Part(COMPILED, "product 300 x 300", COMPILED, timed(_compiled)),
         Part(PYTHON, "pass of its loop", PYTHON, timed(_python)),
-        Part("Gaussian process, 300 points, 9 to 6", "exchange, prediction", COMPILED, timed(_gp_step())),
-        Part("MAVLink message, both ends", "message", PYTHON, timed(_link())),
+        Part(GP, "exchange, prediction", COMPILED, timed(_gp_step())),
+        Part(LINK, "message", PYTHON, timed(_link())),
     ]
     for vehicle, words in ((plain, "no effect"), (with_effects(plain, plant.ALL_EFFECTS), "every effect")):
         batch = timed(plant.batch(vehicle, plant.STEPS, threads=1))
@@ -237,12 +239,25 @@ def parts(folder: Path) -> list[Part]:
         ]
     return [
         *lines,
-        Part("log", "row of numbers, chunks included", PYTHON, timed(_log(folder))),
+        Part(LOG, "row of numbers, chunks included", PYTHON, timed(_log(folder))),
         Part("certificate of a flight, anew", "certificate", COMPILED, _certificate(folder)),
         Part("gap, a clean minute at 125 Hz, no page", "log", PYTHON, timed(_gap(folder))),
         *_flight("hover", 4.0)[:1],
         *_flight("paper-tracking", 8.0),
     ]
+
+
+def peers() -> list[Part]:
+    """Lines of others' means for a piece of one of ours."""
+    row = bytes(range(8 * 8))
+    return [
+        Part(name, "the same", UNHELD, timed(work), beside)
+        for beside, found in (
+            (GP, bench_peers.of_the_process()), (LINK, bench_peers.of_the_link()),
+            (PLANT, bench_peers.of_the_plant()), (LOG, bench_peers.of_the_log(row)),
+        )
+        for name, work in found
+    ]  # fmt: skip
 
 
 def processor() -> str:
@@ -252,7 +267,7 @@ def processor() -> str:
 
 def table(lines: list[Part]) -> str:
     """As markdown, with the machine it was measured on."""
-    kernels = {each.name: each.us for each in lines if each.name == each.kernel}
+    known = {each.name: each.us for each in lines}
     load = os.getloadavg()[0]
     rows = [
         f"{date.today()}, {processor()}, Python {platform.python_version()}, flightstack {commit()}, "
@@ -263,7 +278,9 @@ def table(lines: list[Part]) -> str:
     ]
     for each in lines:
         which = each.kernel.removeprefix("reference, ")
-        times = f"{each.us / kernels[each.kernel]:.3g} x {which}" if which else ""
+        times = f"{each.us / known[each.kernel]:.3g} x {which}" if which else ""
+        if each.beside:
+            times = f"{each.us / known[each.beside]:.3g} times {each.beside}"
         rows.append(f"| {each.name} | {each.piece} | {each.us:.3g} | {1e6 / each.us:,.0f} | {times} |")
     return "\n".join(rows)
 
@@ -317,6 +334,7 @@ def main() -> None:
             words = check(lines, stated)
             print(table(lines))
             sys.exit(words or 0)
+        lines += peers()
         for _ in range(ROUNDS):
             for each in lines:
                 each.turn()
