@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from flightstack.jit import Entry, njit
 from flightstack.model import Model, thrust_to_norm
-from flightstack.types import F64, Command, Tuple3
+from flightstack.types import F64, Command, Tuple3, made
 
 _TIME_CONSTANT_US = 2_000_000
 _SAME = 0.03
@@ -43,7 +43,7 @@ class Applied(NamedTuple):
     def follow(self, sent: Command, motor_command: F64, model: Model, dt_us: int) -> Applied:
         """One tick on; `motor_command` (4,): normalised commands as reported, NaN where they are not."""
         curve = model.max_thrust_n, model.thrust_model_factor
-        return Applied(*_FOLLOWED.call(*self, sent.thrust_norm, motor_command, *curve, dt_us))
+        return made(Applied, _FOLLOWED.call(*self, sent.thrust_norm, motor_command, *curve, dt_us))
 
     def of(self, sent: Command) -> Command:
         """The command as it was applied; the very same one where nothing was changed."""

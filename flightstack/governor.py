@@ -49,7 +49,7 @@ from flightstack.rate_loop import (
     couple,
     step_lanes,
 )  # fmt: skip
-from flightstack.types import F64, Command
+from flightstack.types import F64, Command, made
 from flightstack.vehicle import Vehicle
 
 STEP_US = 1000
@@ -164,7 +164,8 @@ class Governor:
             most = (limits.roll_pitch_max, limits.yaw_max, *_command_range(limits, self._undone))
         ahead = (math.sin(heading_rad), math.cos(heading_rad)) if math.isfinite(heading_rad) else (0.0, 1.0)
         norm, changed = _GOVERN.call(state.memory, *self._loop, *self._buffers, rate, norm, int(steps), most, ahead)
-        return GovernorState(state.memory, t_us), norm, self._buffers.out.copy() if changed else None
+        after = made(GovernorState, (state.memory, t_us))
+        return after, norm, self._buffers.out.copy() if changed else None
 
     @staticmethod
     def torque(state: GovernorState) -> F64:

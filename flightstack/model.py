@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flightstack.jit import Entry, njit
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, InputError, Tuple3
+from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, InputError, Tuple3, made
 from flightstack.vehicle import Vehicle
 
 MC_RATE_P = 0.15
@@ -161,7 +161,7 @@ class Limiter:
         """The command within the limits, and whether thrust was cut; what is not a number stays so, for the guard."""
         rate = np.empty(3)
         thrust, norm = _LIMIT.call(thrust_n, rate_frd_radps, self._constants, rate)
-        return Command(now_us, thrust, norm, rate), thrust != thrust_n
+        return made(Command, (now_us, thrust, norm, rate)), thrust != thrust_n
 
 
 @njit

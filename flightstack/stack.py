@@ -33,7 +33,7 @@ from flightstack.lift_off import LiftOff
 from flightstack.model import Limiter, Limits, Model
 from flightstack.rows import ATTITUDE, F_STATUS, Q_Z
 from flightstack.seams import Certifier, Controller, Learner, NoCertifier, NoFilter, NoLearner, SafetyFilter
-from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord
+from flightstack.types import F64, Command, Filtered, FlatOutput, Learned, Measurement, Proposal, TickRecord, made
 from flightstack.under_way import UnderWay
 
 
@@ -187,7 +187,7 @@ class Stack:
             control, learner, certifier, safe, filtered, seen, command, origin, carried, applied, governing, premises,
             learned if usable else state.learned, state.under_way, lift_off,
         )  # fmt: skip
-        return _made(StackState, after), command, _made(TickRecord, said)
+        return made(StackState, after), command, made(TickRecord, said)
 
     def _pilot(self, watch: WatchState) -> Controller:
         return self.controller if watch.rest is None else self.braking
@@ -211,8 +211,6 @@ class Stack:
         return state, Command(command.t_us, thrust, norm, command.rate_frd_radps if rate is None else rate), True
 
 
-_made = tuple.__new__
-"""Half as long as a named tuple's own way, which looks at its arguments' names."""
 _NO_PROPOSAL = Proposal(np.nan, np.full(20, np.nan))
 _NOT_LEARNING = Learned.nothing()
 _UNFILTERED = Filtered.nothing()

@@ -35,7 +35,7 @@ def record_of(
 ) -> CompanionRecord:
     """The record of whoever speaks by `voice` over `link`."""
     w, x, y, z = _LEVEL if measurement is None else measurement.q_ned_frd.tolist()
-    factor = min(1.0, max(0.0, voice.thrust_model_factor))
+    factor = voice.thrust_model_factor
     sequence = link.next_sequence(link.component)
     return CompanionRecord(
         0, sent[0] * 1000, sent[1], 0, 0, w, x, y, z, thrust_norm, factor, flags,

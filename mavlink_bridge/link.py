@@ -218,7 +218,9 @@ class Link:
         if not self._outgoing:
             return []
         outgoing, self._outgoing = self._outgoing, []
-        return _packed(outgoing, min(max_bytes, MAX_DATAGRAM)) if max_bytes else outgoing
+        if not max_bytes or len(outgoing) == 1:
+            return outgoing
+        return _packed(outgoing, min(max_bytes, MAX_DATAGRAM))
 
     def _take_plain(self, data: bytes, now_us: int) -> int:
         """Take good unsigned frames that follow one another (nearly always: all there is); where they end."""

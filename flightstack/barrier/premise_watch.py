@@ -48,7 +48,17 @@ from flightstack.rows import (
     VEL_E,
     VEL_N,
 )
-from flightstack.types import F64, STANDARD_GRAVITY_MPS2, Command, Filtered, FlatOutput, Learned, Measurement, Tuple3
+from flightstack.types import (
+    F64,
+    STANDARD_GRAVITY_MPS2,
+    Command,
+    Filtered,
+    FlatOutput,
+    Learned,
+    Measurement,
+    Tuple3,
+    made,
+)
 
 NAMES = (
     "", "speed north", "speed east", "speed down", "lean north", "lean east", "thrust", "applied thrust",
@@ -163,7 +173,7 @@ def watch(state: WatchState, measurement: Measurement, seen: Seen, mass_kg: floa
     broken_s = _summed(state.broken_s, span_s if broken and not lapse else 0.0, span_s)
     lapsed_s = _summed(state.lapsed_s, _lapse_s(broken, seen.interval_s, state.numbers.item(_INTERVAL)), span_s)
     version, numbers, down, *_, ended, rest = state
-    after = WatchState(version, numbers, down, broken_s, lapsed_s, broken, ended, rest)
+    after = made(WatchState, (version, numbers, down, broken_s, lapsed_s, broken, ended, rest))
     strayed = state.broken in _LAPSES and not seen.is_inside
     if state.ended or not (broken_s >= BREACH_S or lapsed_s >= LAPSED_S or strayed):
         return after

@@ -333,6 +333,7 @@ class LogObserver:
         """A message of the vehicle, as a table; or several at once."""
         if self.message_to is not None:
             self.message_to(t_us, message)
+        kind = type(message)
         if isinstance(message, Heard):
             self._on_heard(t_us, message)
             return
@@ -340,7 +341,6 @@ class LogObserver:
             return
         self._height_events.on_message(t_us, message)
         t_us = self._clock.t_us
-        kind = type(message)
         topic = _TOPIC_OF.get(kind)
         if topic is not None and not (kind is m.ServoOutputRaw and message.port):  # type: ignore[attr-defined]
             self._log.write(topic, t_us, message)

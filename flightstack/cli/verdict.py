@@ -42,7 +42,7 @@ class Ascent:
     """Greatest height above the start before the command to land."""
     _impact_mps: float | None = None
     _on_ground: bool = True
-    _speed_mps: float = 0.0
+    _vel_ned_mps: Sequence[float] | F64 = (0.0, 0.0, 0.0)
     _descent: list[tuple[float, float]] = field(default_factory=list)
 
     def height(self, height_m: float) -> None:
@@ -52,8 +52,8 @@ class Ascent:
     def true_contact(self, vel_ned_mps: Sequence[float] | F64, on_ground: bool) -> None:
         """One tick of the truth: velocity (3,) and whether the ground is touched; the hardest touch counts."""
         if on_ground and not self._on_ground:
-            self._impact_mps = max(self._impact_mps or 0.0, self._speed_mps)
-        self._on_ground, self._speed_mps = on_ground, math.hypot(*vel_ned_mps)
+            self._impact_mps = max(self._impact_mps or 0.0, math.hypot(*self._vel_ned_mps))
+        self._on_ground, self._vel_ned_mps = on_ground, vel_ned_mps
 
     def estimated_descent(self, pos_down_m: float, down_mps: float) -> None:
         """One sample of the estimate after the command to land: where it is and how fast, downwards."""

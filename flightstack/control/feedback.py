@@ -33,7 +33,7 @@ from flightstack.jit import Entry, njit
 from flightstack.model import Limits, Model
 from flightstack.rows import L_CONFIDENCE, L_GAIN
 from flightstack.trajectory import NominalGains, nominal_step
-from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal
+from flightstack.types import F64, Command, FlatOutput, Learned, Measurement, Proposal, made
 
 _ALONG, _CONFIDENT = 2, 8
 """Of `controller_rows`."""
@@ -107,7 +107,7 @@ class FlatnessController:
         correction = state.correction_ned_mps2.copy()
         dt = min(max((now_us - state.t_us) * 1e-6, 0.0), _DT_MAX_S)
         thrust = _STEP.call(self._constants, correction, dt, reference.row, measurement.row, learned.row, row)
-        return ControlState(correction, now_us), Proposal(thrust, row)
+        return made(ControlState, (correction, now_us)), Proposal(thrust, row)
 
 
 def controller_rows(model: Model, gains: FeedbackGains, limits: Limits) -> F64:

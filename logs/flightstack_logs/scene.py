@@ -164,6 +164,8 @@ class VehicleTrail:
         self._state = np.empty(7)
         self._points: list[fox.Pose] = []
         self._corners: list[Tuple3] = []
+        self._line: list[fox.Point3] = []
+        """The corners as they are drawn."""
         self._point_period_us = _PATH_POINT_US
         self._due_us = 0
         self._point_due_us = 0
@@ -201,8 +203,7 @@ class VehicleTrail:
             path = fox.PosesInFrame(timestamp=stamp, frame_id=WORLD, poses=self._points)
             views.append((f"{self._prefix}/path", path.encode()))
             if not self._truth:
-                corners = [fox.Point3(x=x, y=y, z=z) for x, y, z in self._corners]
-                line = _line(stamp, "path", corners, _BLUE)
+                line = _line(stamp, "path", self._line, _BLUE)
                 views.append(("/scene/path", fox.SceneUpdate(entities=[line]).encode()))
                 views.append(("/outline/path", outlines.cloud(stamp, WORLD, np.array(self._corners))))
         return views
@@ -211,9 +212,12 @@ class VehicleTrail:
         self._point_due_us = t_us + self._point_period_us
         self._points.append(pose)
         self._corners.append(corner)
+        if not self._truth:
+            self._line.append(fox.Point3(x=corner[0], y=corner[1], z=corner[2]))
         if len(self._points) >= _PATH_POINTS:
             del self._points[1::2]
             del self._corners[1::2]
+            del self._line[1::2]
             self._point_period_us *= 2
 
 
@@ -303,21 +307,21 @@ def _edges(region: SceneRegion) -> F64:
 
 def arrow_views(t_us: int, record: TickRecord) -> list[View]:
     """The acceleration that was wanted and the one that is sent, as arrows at the vehicle, 0.1 m for each m/s^2."""
-    stamp, at, filtered = timestamp(t_us), record.measurement.pos_ned_m, record.filtered
+    stamp, at, filtered = timestamp(t_us), record.measurement.pos_ned_m.tolist(), record.filtered
     entities = [
         fox.SceneEntity(timestamp=stamp, frame_id=WORLD, id=name, frame_locked=True, arrows=[_arrow(at, acc, color)])
         for name, acc, color in (
-            ("wanted", filtered.wanted_acc_ned_mps2, _WANTED),
-            ("safe", filtered.safe_acc_ned_mps2, _SAFE),
+            ("wanted", filtered.wanted_acc_ned_mps2.tolist(), _WANTED),
+            ("safe", filtered.safe_acc_ned_mps2.tolist(), _SAFE),
         )
-        if np.isfinite(acc).all() and np.isfinite(at).all()
+        if all(map(math.isfinite, (*acc, *at)))
     ]
     return [("/scene/filter", fox.SceneUpdate(entities=entities).encode())] if entities else []
 
 
-def _arrow(at_ned_m: F64, acc_ned_mps2: F64, color: fox.Color) -> fox.ArrowPrimitive:
-    x, y, z = ned_to_enu(at_ned_m).tolist()
-    dx, dy, dz = ned_to_enu(acc_ned_mps2).tolist()
+def _arrow(at_ned_m: list[float], acc_ned_mps2: list[float], color: fox.Color) -> fox.ArrowPrimitive:
+    (y, x, down), (dy, dx, down_mps2) = at_ned_m, acc_ned_mps2
+    z, dz = -down, -down_mps2
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     # Half way between +x and the wanted direction lies the axis of half a turn from one to the other.
     half = (dx + length, dy, dz) if dx > -0.999999 * length else (0.0, 1.0, 0.0)

@@ -21,7 +21,7 @@ from flightstack.effects import (
 )
 from flightstack.effects import row as at
 from flightstack.jit import njit
-from flightstack.types import F64, InputError, Tuple3, Tuple4
+from flightstack.types import F64, InputError, Tuple3, Tuple4, made
 from flightstack.vehicle import Vehicle, with_effects
 from flightstack_sim.parameters import parameter_row
 from flightstack_sim.rigid_body import air_velocity, evaluate, rotor_speeds, step_row
@@ -252,7 +252,7 @@ class NativePlant:
     def truth(self) -> Truth:
         """A snapshot."""
         row = tuple(self._shown.tolist())
-        return Truth(
+        shown = (
             self.t_us,
             row[at.S_POS : at.S_POS + 3],
             row[at.S_VEL : at.S_VEL + 3],
@@ -266,6 +266,7 @@ class NativePlant:
             row[at.S_VOLTAGE],
             row[at.S_NORMAL] > 0.0,
         )
+        return made(Truth, shown)
 
     def set_effect(self, name: str, values: Mapping[str, float]) -> None:
         """From now on the effect has these values (absent ones: null); InputError where they are not allowed.

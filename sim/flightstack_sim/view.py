@@ -50,7 +50,6 @@ class View:
     __slots__ = (
         "_attitude_target",
         "_baro_at_us",
-        "_frozen",
         "_mag_at_us",
         "_moved_at_us",
         "accuracy",
@@ -65,6 +64,7 @@ class View:
         "fields_updated",
         "fixes_reported",
         "frame",
+        "frozen",
         "mag_frd_gauss",
         "mission_valid",
         "navigator",
@@ -76,6 +76,7 @@ class View:
         "rate_frd_radps",
         "setpoint",
         "silenced",
+        "stamp_us",
         "sysid",
         "t_us",
         "unix_at_boot_us",
@@ -107,7 +108,8 @@ class View:
         """Messages that a fault keeps from being sent."""
         self.clock_offset_us = 0
         """By how much a fault has moved the stamps."""
-        self._frozen: tuple[Tuple3, Tuple3] | None = None
+        self.frozen: tuple[Tuple3, Tuple3] | None = None
+        """Place and velocity that a fault has reported whatever the vehicle does."""
         self.setpoint: ControlSetpoint = vehicle.control.setpoint
         self.event_sequence = 0
         self.ping_sequence = 0
@@ -118,7 +120,8 @@ class View:
         self.fixes_reported = 0
         self._mag_at_us = self._baro_at_us = self._moved_at_us = NEVER
         self._attitude_target: tuple[int, Tuple4, float] = (0, (1.0, 0.0, 0.0, 0.0), _IDLE_THRUST)
-        self.t_us = 0
+        self.t_us = self.stamp_us = 0
+        """Time since boot, and as messages carry it."""
         self.pos_ned_m: Tuple3 = (0.0, 0.0, 0.0)
         self.vel_ned_mps: Tuple3 = (0.0, 0.0, 0.0)
         self.q_ned_frd: Tuple4 = (1.0, 0.0, 0.0, 0.0)
@@ -130,6 +133,7 @@ class View:
         """Look again: once a tick, after the vehicle has moved."""
         vehicle = self.vehicle
         self.t_us = vehicle.plant.t_us
+        self.stamp_us = max(self.t_us + self.clock_offset_us, 0)
         north, east, down, v_north, v_east, v_down, w, x, y, z, _, _, _ = vehicle.sensors.state.tolist()
         self.pos_ned_m = (north, east, down)
         self.vel_ned_mps = (v_north, v_east, v_down)
@@ -146,32 +150,21 @@ class View:
 
     def freeze(self) -> None:
         """From now on this place and velocity are reported."""
-        self._frozen = (self.pos_ned_m, self.vel_ned_mps)
+        self.frozen = (self.pos_ned_m, self.vel_ned_mps)
 
     def thaw(self) -> None:
         """Report what is."""
-        self._frozen = None
-
-    @property
-    def frozen(self) -> bool:
-        """A fault keeps the reported place where it was."""
-        return self._frozen is not None
-
-    @property
-    def stamp_us(self) -> int:
-        """Time since boot as messages carry it."""
-        stamp_us = self.t_us + self.clock_offset_us
-        return stamp_us if stamp_us > 0 else 0
+        self.frozen = None
 
     @property
     def told_pos_ned_m(self) -> Tuple3:
         """The position that is reported."""
-        return self._frozen[0] if self._frozen is not None else self.pos_ned_m
+        return self.frozen[0] if self.frozen is not None else self.pos_ned_m
 
     @property
     def told_vel_ned_mps(self) -> Tuple3:
         """The velocity that is reported."""
-        return self._frozen[1] if self._frozen is not None else self.vel_ned_mps
+        return self.frozen[1] if self.frozen is not None else self.vel_ned_mps
 
     def use(self, setpoint: ControlSetpoint) -> None:
         """Note the setpoint of the next step; PX4's attitude setpoint goes stale when body rates take over."""
