@@ -5,12 +5,6 @@ Compiled loops round the plant's own functions, their rows shared out to the cor
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from itertools import pairwise
-
 import numpy as np
 
 from flightstack.effects import battery_sag
@@ -28,32 +22,13 @@ from flightstack.effects.row import (
     S_U,
     S_VOLTAGE,
 )
+from flightstack.gap.cores import share
 from flightstack.jit import njit_free
 from flightstack.types import F64, I64
 from flightstack_sim.rigid_body import air_velocity, evaluate, rotor_speeds, step_row
 
-_MOST_THREADS = 4
 _LEAST_STATES, _LEAST_WINDOWS = 500, 8
 """That are worth a thread: to hand a part over takes some 50 us, to evaluate a state 0.2, to simulate a window 100."""
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_MOST_THREADS - 1)
-
-
-os.register_at_fork(after_in_child=_pool.cache_clear)  # a child has none of its parent's threads
-
-
-def _share(work: Callable[[slice], None], rows: int, least: int) -> None:
-    """`work` of all rows, a part of them (`least` or more) on each core; the first part here."""
-    count = max(1, min(os.cpu_count() or 1, _MOST_THREADS, rows // least))
-    edges = [rows * k // count for k in range(count + 1)]
-    parts = [slice(low, high) for low, high in pairwise(edges)]
-    jobs = [_pool().submit(work, part) for part in parts[1:]]
-    work(parts[0])
-    for job in jobs:
-        job.result()
 
 
 def evaluate_at(params: F64, states: F64, u: F64, voltage: F64, out: F64) -> None:
@@ -61,7 +36,7 @@ def evaluate_at(params: F64, states: F64, u: F64, voltage: F64, out: F64) -> Non
 
     states (N, S_U) as the state row begins: position, velocity, attitude, rate, load; motors' u (N, 4), voltage (N,).
     """
-    _share(lambda part: states_loop(params, states[part], u[part], voltage[part], out[part]), len(out), _LEAST_STATES)
+    share(lambda part: states_loop(params, states[part], u[part], voltage[part], out[part]), len(out), _LEAST_STATES)
 
 
 @njit_free
@@ -95,7 +70,7 @@ def run_windows(
         own = state[part], params[part], start[part], driven[part]
         windows_loop(*own, commands, voltage, shown[part], force[part])
 
-    _share(work, state.shape[0], _LEAST_WINDOWS)
+    share(work, state.shape[0], _LEAST_WINDOWS)
 
 
 @njit_free

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from flightstack.jit import njit
+from flightstack.jit import njit, njit_free
 from flightstack.types import F64
 
 
@@ -46,10 +46,7 @@ def both_ways(sections: F64, x: F64, pad: int, *, even: bool = False) -> F64:
     if not even:
         before, after = 2.0 * flat[0] - before, 2.0 * flat[-1] - after
     y = np.concatenate([before, flat, after])
-    steady = _steady(sections)
-    for _ in range(2):
-        _pass(sections, steady, y)
-        y = np.ascontiguousarray(y[::-1])
+    _pass(sections, _steady(sections), y)
     return y[pad : len(y) - pad].reshape(x.shape)
 
 
@@ -64,21 +61,23 @@ def _steady(sections: F64) -> F64:
     return out
 
 
-@njit
+@njit_free
 def _pass(sections: F64, steady: F64, y: F64) -> None:
-    """Columns of `y` (N, k) through the sections, in place, at rest at their first row's values."""
+    """Columns of `y` (N, k) through the sections, in place, then back, each at rest at its first row's values."""
     rows, columns = y.shape
-    first = y[0].copy()
-    for n in range(sections.shape[0]):
-        b0, b1, b2, a1, a2 = sections[n, 0], sections[n, 1], sections[n, 2], sections[n, 4], sections[n, 5]
-        one, two = steady[n, 0] * first, steady[n, 1] * first
-        for i in range(rows):
-            for j in range(columns):
-                x = y[i, j]
-                out = b0 * x + one[j]
-                one[j] = b1 * x - a1 * out + two[j]
-                two[j] = b2 * x - a2 * out
-                y[i, j] = out
+    for begin, step in ((0, 1), (rows - 1, -1)):
+        first = y[begin].copy()
+        for n in range(sections.shape[0]):
+            b0, b1, b2, a1, a2 = sections[n, 0], sections[n, 1], sections[n, 2], sections[n, 4], sections[n, 5]
+            one, two = steady[n, 0] * first, steady[n, 1] * first
+            for i in range(rows):
+                row = y[begin + step * i]
+                for j in range(columns):
+                    x = row[j]
+                    out = b0 * x + one[j]
+                    one[j] = b1 * x - a1 * out + two[j]
+                    two[j] = b2 * x - a2 * out
+                    row[j] = out
 
 
 def through(taps: F64, poles: F64, x: F64, start: float = 0.0) -> F64:

@@ -21,7 +21,7 @@ from flightstack.effects.row import (
     S_VOLTAGE,
     Vec,
 )
-from flightstack.jit import njit
+from flightstack.jit import njit, njit_free
 from flightstack.types import F64
 from flightstack_sim.battery import discharge
 from flightstack_sim.rigid_body import lagged
@@ -35,7 +35,7 @@ UNSURE_MPS2 = 0.3
 """Of the vehicle: how much of what is felt may be anything else."""
 
 
-@njit
+@njit_free
 def run_rotors(p: F64, commands: F64, every: int, row: F64, out: F64) -> None:
     """Motors' u (N, 4) into `out`, at the samples; `commands` (N * every, 4), one for each step of the row's P_DT.
 
@@ -94,7 +94,7 @@ def _corrected(p: F64, row: F64, pulled: Vec, seen: F64, turn: float, speed: flo
 _ACC = 3
 
 
-@njit
+@njit_free
 def run_load(p: F64, acc_ned: F64, seen: F64, adrift: bool, row: F64, work: F64, out: F64) -> None:
     """The load's direction and its rate (N, 6) into `out` under a vehicle that moves with `acc_ned` (N, 3), m/s^2.
 

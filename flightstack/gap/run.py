@@ -54,6 +54,7 @@ _ROWS_MADE = Remembered[F64](256)
 _TURNED = Remembered[F64](4)
 _SWUNG = Remembered[F64](4)
 _FELT = Remembered[F64](4)
+_STATES = Remembered[F64](2)
 """Of the last few vehicles: many loads and ropes are tried on each, and columns are taken where a fit already was."""
 _ADRIFT_S = 1.0
 """A log that holds flight this soon began in the air."""
@@ -136,10 +137,9 @@ class ModelEvaluation:
 
     def changes(self, turned: Sequence[CentralDifference]) -> F64:
         """(N, 6, K) difference quotients as the sensors show them, before the low-pass; all at this run's states."""
-        count = len(turned)
-        rows = np.stack([*(t.up for t in turned), *(t.down for t in turned)])
-        both = self._evaluated(rows[0], rows)
-        out = (both[:, :, :count] - both[:, :, count:]) / np.array([t.width for t in turned])
+        out = self._evaluated(turned[0].centre, np.stack([t.up for t in turned]))
+        out -= self._evaluated(turned[0].centre, np.stack([t.down for t in turned]))
+        out /= np.array([t.width for t in turned])
         return self._sensed(turned[0].centre, out)
 
     def _evaluated(self, sensors: F64, rows: F64) -> F64:
@@ -153,10 +153,14 @@ class ModelEvaluation:
         """A motion (N, 6, ...), or a change of it, as the sensors show it but for their biases; in place."""
         flight = self.track
         misalignment = attitude_misalignment.rotation(p)[None, :]
-        force, angular = moved[:, 0:3], moved[:, 3:6]
+        given, angular = moved[:, 0:3], moved[:, 3:6]
+        force = given
         if "accel_frd_mps2" in flight.missing:
             force = _turned_back(misalignment, force)
-        moved[:, 0:3] = simpson(force, flight.side) if flight.averaged[0] else force
+        if flight.averaged[0]:
+            force = simpson(force, flight.side)
+        if force is not given:
+            moved[:, 0:3] = force
         angular = simpson(angular, flight.side)
         moved[:, 3:6] = _turned_back(misalignment, angular) if "rate_frd_radps" in flight.missing else angular
         return moved
@@ -244,6 +248,10 @@ def _load(p: F64, flight: ProcessedFlight, u: F64) -> F64:
 
 def _states(p: F64, flight: ProcessedFlight, load: F64) -> F64:
     """(N, S_U) the measured motion without what the sensors add to it, and the load's, as a state row begins."""
+    return _STATES(lambda: _states_made(p, flight, load), flight, load, depends=p[SENSORS].tobytes())
+
+
+def _states_made(p: F64, flight: ProcessedFlight, load: F64) -> F64:
     rate = flight.rate_frd_radps - gyro_bias.bias(p)
     return np.hstack((flight.pos_ned_m, flight.vel_ned_mps, true_attitude(p, flight), rate, load))
 
@@ -259,7 +267,7 @@ def _felt_of_the_load(p: F64, flight: ProcessedFlight, u: F64, hanging: F64) -> 
 def _felt_beyond(p: F64, flight: ProcessedFlight, u: F64, hanging: F64) -> F64:
     """`_felt_of_the_load` beyond the vehicle of this row."""
     out = np.empty((len(u), 6, 1))
-    evaluate_at(p[None], _states(p, flight, hanging), u, np.ascontiguousarray(flight.samples.battery_v), out)
+    evaluate_at(p[None], _states_made(p, flight, hanging), u, np.ascontiguousarray(flight.samples.battery_v), out)
     force = flight.measured[:, 0:3]
     if "accel_frd_mps2" not in flight.missing:
         force = rotate(attitude_misalignment.rotation(p)[None, :], force - accelerometer_bias.bias(p))

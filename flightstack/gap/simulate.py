@@ -19,6 +19,7 @@ import numpy as np
 from flightstack.effects import EFFECTS, ParamSpec
 from flightstack.effects.record import Size
 from flightstack.effects.row import PLACES
+from flightstack.gap.cores import on_cores
 from flightstack.gap.records import Samples
 from flightstack.gap.remembered import Remembered
 from flightstack.gap.run import (
@@ -35,7 +36,7 @@ from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import LEAST_MASS_SHARE, Vehicle, with_effects
 from flightstack_sim.parameters import derive
 
-_TOGETHER = 12
+_TOGETHER = 6
 """Columns taken in one call: a long log's must not fill the memory."""
 _STEP_SHARE = 0.02
 _TIMING_STEP_S = 0.001
@@ -131,12 +132,15 @@ def sensitivities(vehicle: Vehicle, samples: Samples, columns: Sequence[FreePara
         k for k, c in enumerate(columns) if not (flight.missing & set(EFFECTS[c.effect].needs) or c.parameter in mute)
     ]
     shared = [k for k in seen if not EFFECTS[columns[k].effect].has_states and not _is_sensor(columns[k])]
-    for begin in range(0, len(shared), _TOGETHER):
-        part = shared[begin : begin + _TOGETHER]
-        out[:, :6, part] = flight.smooth(base.changes([turned[k] for k in part]))[::every]
-    for k in seen:
-        if k not in shared:
-            out[:, :, k] = flight.lowpass(_difference(base, turned[k], columns[k]))[::every]
+
+    def fill(part: list[int]) -> None:
+        if part[0] in shared:
+            out[:, :6, part] = flight.smooth(base.changes([turned[k] for k in part]))[::every]
+        else:
+            out[:, :, part[0]] = flight.lowpass(_difference(base, turned[part[0]], columns[part[0]]))[::every]
+
+    together = [shared[begin : begin + _TOGETHER] for begin in range(0, len(shared), _TOGETHER)]
+    on_cores(fill, [*together, *([k] for k in seen if k not in shared)])
     for column in flight.blind:
         out[:, column, seen] = np.nan
     return out

@@ -111,8 +111,9 @@ def simpson(x: F64, side: float = 1.0 / 6.0) -> F64:
 
     `side` is the weight of either neighbour: of Simpson's rule, or less where the difference's steps are shorter.
     """
-    out = x.copy()
-    out[1:-1] = side * (x[:-2] + x[2:]) + (1.0 - 2.0 * side) * x[1:-1]
+    out = (1.0 - 2.0 * side) * x
+    out[0], out[-1] = x[0], x[-1]
+    out[1:-1] += side * (x[:-2] + x[2:])
     return out
 
 

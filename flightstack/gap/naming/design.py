@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.gap.cores import on_cores
 from flightstack.gap.naming.candidates import Candidate, candidates, trifle
 from flightstack.gap.naming.evidence import Gram, robust
 from flightstack.gap.naming.whitening import Mask, Whitener, fit, plain, whiten, whole_windows
@@ -82,12 +84,15 @@ class Layout:
         """Whitened rows (R,) of (N, channels) in each flight, or (R, K) of (N, channels, K)."""
         stacked = np.empty((len(self.at), *values[0].shape[2:]))
         flat, begin = stacked.reshape(len(stacked), -1), 0
+        parts = []
         for flight, whiteners, rows_of in zip(values, self.whiteners, self.rows, strict=True):
             each = np.ascontiguousarray(flight).reshape(*flight.shape[:2], -1)
             for c, (whitener, rows) in enumerate(zip(whiteners, rows_of, strict=True)):
                 if whitener.usable:
-                    whiten(whitener.taps / whitener.sigma, each, c, rows, flat[begin : begin + len(rows)])
+                    own = flat[begin : begin + len(rows)]
+                    parts.append(partial(whiten, whitener.taps / whitener.sigma, each, c, rows, own))
                     begin += len(rows)
+        on_cores(lambda part: part(), parts)
         return stacked
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.jit import njit
+from flightstack.jit import njit_free
 from flightstack.types import F64
 
 Mask = NDArray[np.bool_]
@@ -82,7 +82,7 @@ def plain(errors: list[F64], ok: list[Mask]) -> Whitener:
     return Whitener(np.ones(1), float(np.sqrt(np.mean(rows**2))) if usable else np.nan)
 
 
-@njit
+@njit_free
 def whiten(taps: F64, values: F64, channel: int, rows: NDArray[np.int64], out: F64) -> None:
     """One channel of `values` (N, channels, K) filtered by `taps` at these rows, into `out` (rows, K)."""
     if out.shape[1] == 1:
