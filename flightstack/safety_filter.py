@@ -81,6 +81,8 @@ class FilterState(NamedTuple):
     """(2, 3) between which places the vehicle may rest, with room; infinite along what is not certified."""
     handed_over: bool = False
     """What it kept to was falsified, and nothing else is there: commands pass."""
+    governor: GovernorLimits | None = None
+    """What the certificate asks of the governor; None: nothing."""
 
 
 class BarrierFilter:
@@ -134,20 +136,23 @@ class BarrierFilter:
             state.memory[0, M_MODE] = DOUBTFUL
         limits = within(self.limits, self.model, certificate.governor)
         packed = pack(certificate, self.model, limits, self.attitude_p_ps)
-        rest = _rest(certificate) + state.origin_ned_m
-        return state._replace(certificate=certificate, packed=packed, rest_ned_m=rest, handed_over=False)
+        rest, terms = _rest(certificate) + state.origin_ned_m, certificate.governor
+        return state._replace(
+            certificate=certificate, packed=packed, rest_ned_m=rest, handed_over=False,
+            governor=None if terms is None else terms.limits,
+        )  # fmt: skip
 
     def governed(self, state: FilterState) -> GovernorLimits | None:
         """Those of the certificate that is in force from half a second before engaging: then torque is calm.
 
         Not before: GPS noise beside bounded torque rocks a lean that nothing limits, and it would never engage.
         """
-        certificate, memory = state.certificate, state.memory
-        if certificate is None or certificate.governor is None or state.handed_over:
+        memory = state.memory
+        if state.governor is None or state.handed_over:
             return None
-        if not (memory[0, M_MODE] > 0.0 or memory[0, M_GOOD_SINCE] < math.inf):
+        if not (memory.item(0, M_MODE) > 0.0 or memory.item(0, M_GOOD_SINCE) < math.inf):
             return None
-        return certificate.governor.limits
+        return state.governor
 
     def in_force(self, state: FilterState) -> F64 | None:
         """The certificate, engaged or not."""
@@ -159,7 +164,7 @@ class BarrierFilter:
         The filter alone would keep the vehicle inside as well.  But a controller whose reference stays out of reach
         asks for ever more along that axis and has nothing left to hold its place along the others.
         """
-        if state.memory[0, M_MODE] != ENGAGED or state.handed_over:
+        if state.memory.item(0, M_MODE) != ENGAGED or state.handed_over:
             return setpoint
         row, (low, high) = setpoint.row, state.rest_ned_m.tolist()
         if all(map(le, low, at := row[:3].tolist())) and all(map(le, at, high)):

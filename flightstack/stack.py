@@ -134,7 +134,8 @@ class Stack:
     def gains_changed(self, state: StackState) -> StackState:
         """State after the vehicle told of other rate gains: a certificate in force is over, the vehicle is braked."""
         watch = ended_by(state.watch, state.measurement, RATE_GAINS)
-        return state._replace(watch=watch, control=self._handed(state.control, state.watch, watch, state.sent.t_us))
+        control = self._handed(state.control, state.watch, self._pilot(watch), state.sent.t_us)
+        return state._replace(watch=watch, control=control)
 
     def carried(self, state: StackState | None, measurement: Measurement, now_us: int) -> Measurement:
         """A state as of its newest sample, at `now_us`; before each tick.  No stack's state: nothing was sent."""
@@ -163,11 +164,12 @@ class Stack:
                 safe = self.filter.adopt(safe, certificate)
                 premises = _watched(certificate, self.model)
             if premises.version >= 0 and before.row.item(F_STATUS) >= _ENGAGED:
-                since = Seen(sent, learned, applied.ratio, (now_us - sent.t_us) * 1e-6, is_inside(before))
-                premises = watch(premises, seen, since, self.model.mass_kg, setpoint.yaw_rad)
+                since = sent, learned, applied.ratio, (now_us - sent.t_us) * 1e-6, is_inside(before)
+                premises = watch(premises, seen, made(Seen, since), self.model.mass_kg, setpoint.yaw_rad)
             setpoint = setpoint if premises.rest is None else premises.rest
             bent = self.filter.bend(safe, setpoint)
-            control, pilot = self._handed(control, state.watch, premises, now_us), self._pilot(premises)
+            pilot = self._pilot(premises)
+            control = self._handed(control, state.watch, pilot, now_us)
             met, bent, forward = _met(pilot, seen, bent, learned)
             control, proposal = pilot.step(control, met, bent, forward, sent, now_us)
             wanted, saturated = self.limiter.limit(proposal.thrust_n, proposal.rate_frd_radps, now_us)
@@ -192,9 +194,8 @@ class Stack:
     def _pilot(self, watch: WatchState) -> Controller:
         return self.controller if watch.rest is None else self.braking
 
-    def _handed(self, control: Any, before: WatchState, after: WatchState, now_us: int) -> Any:
+    def _handed(self, control: Any, before: WatchState, pilot: Controller, now_us: int) -> Any:
         """The state of whoever flies: anew where it is another one than before."""
-        pilot = self._pilot(after)
         return control if pilot is self._pilot(before) else pilot.init(now_us)
 
     def _govern(

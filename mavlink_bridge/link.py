@@ -202,7 +202,8 @@ class Link:
     def queue(self, frames: bytes, ends: list[int]) -> None:
         """Queue unsigned frames of this link's own, one after the other, each numbered on from `next_sequence`."""
         self._outgoing += [frames[begin:end] for begin, end in pairwise((0, *ends))]
-        self._next_sequence[self.component] = (self.next_sequence(self.component) + len(ends)) & 0xFF
+        sequences, own = self._next_sequence, self.component
+        sequences[own] = (sequences.get(own, 0) + len(ends)) & 0xFF
         self.stats.sent += len(ends)
 
     def next_sequence(self, component: int) -> int:

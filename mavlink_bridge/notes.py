@@ -122,15 +122,19 @@ class GuardNotes:
 
         A stream at 5 Hz makes it fly nine tenths of the time without ever flying for 0.2 s on end.
         """
+        return 1e-6 * self._flown_by(now_us)
+
+    def _flown_by(self, now_us: int) -> int:
+        """The same in microseconds."""
         if self._at_us < 0:
-            return 0.0
+            return 0
         since_us = now_us - self._at_us
-        return 1e-6 * max(0, self._flown_us + (since_us if self._guard else -since_us))
+        return max(0, self._flown_us + (since_us if self._guard else -since_us))
 
     def take(self, guard: str, resets: ResetWatch, t_us: int, now_us: int) -> bool:
         """A tick's guard by name (empty: none) and the resets so far, vehicle and local time; whether one was new."""
         acts = "" if guard.startswith("clip") else guard
-        self._flown_us, self._at_us = round(1e6 * self.guard_s(now_us)), now_us
+        self._flown_us, self._at_us = self._flown_by(now_us), now_us
         if acts:
             self._note(acts, t_us)
         elif self._acts and t_us - self._span_us[1] > _EPISODE_APART_US:

@@ -19,12 +19,13 @@ _PIECE = 8_192
 class Column:
     """Numbers in the order in which they came; rows of several numbers one after the other."""
 
-    __slots__ = ("_pieces", "_width")
+    __slots__ = ("_last", "_pieces", "_width")
 
     def __init__(self, width: int = 1) -> None:
         """`width`: numbers of a row."""
         self._width = width
-        self._pieces = [array("d")]
+        self._last = array("d")
+        self._pieces = [self._last]
 
     def __len__(self) -> int:
         """Rows."""
@@ -37,22 +38,27 @@ class Column:
 
     def append(self, number: float) -> None:
         """A row of one number."""
-        self._last().append(number)
+        self._last.append(number)
+        if len(self._last) >= _PIECE:
+            self._begin_piece()
 
     def extend(self, row: Iterable[float]) -> None:
         """A row of `width` numbers."""
-        self._last().extend(row)
+        self._last.extend(row)
+        if len(self._last) >= _PIECE:
+            self._begin_piece()
 
     def extend_bytes(self, row: bytes) -> None:
         """The same of the bytes of so many."""
-        self._last().frombytes(row)
+        self._last.frombytes(row)
+        if len(self._last) >= _PIECE:
+            self._begin_piece()
 
     def table(self) -> F64:
         """(rows, width), or (rows,) of single numbers."""
         numbers = np.concatenate([np.frombuffer(piece, dtype=np.float64) for piece in self._pieces])
         return numbers if self._width == 1 else numbers.reshape(-1, self._width)
 
-    def _last(self) -> array[float]:
-        if len(self._pieces[-1]) >= _PIECE:
-            self._pieces.append(array("d"))
-        return self._pieces[-1]
+    def _begin_piece(self) -> None:
+        self._last = array("d")
+        self._pieces.append(self._last)

@@ -378,7 +378,7 @@ def _run(
     companion = flight.companion
     pace = None if timing is None else Pace(TICK_MS * 1000, is_ahead=timing.is_ahead, meanwhile=log.meanwhile)
     limit_us = int((flight.scenario.duration_s + FLIGHT_TIME_LIMIT_S) * 1e6)
-    ticks = 0
+    ticks, plant = 0, flight.vehicle.plant
     while not companion.done:
         if pace is not None and timing is not None:
             pace.wait()
@@ -391,7 +391,7 @@ def _run(
             if reason := stop_requested():
                 companion.stop(reason)
             on_progress(flight.progress, companion.phase)
-        if flight.t_us > limit_us:
+        if plant.t_us > limit_us:
             companion.reason = companion.reason or f"stuck in {companion.state.value}: gave up"
             break
     for _ in range(50):  # what the last words (Hold) do is in the log too

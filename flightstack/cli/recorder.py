@@ -137,8 +137,7 @@ class FilterEvents:
             self._changed = True
             self._say(t_us, f"first change: wanted {_vector(filtered.wanted_acc_ned_mps2)}, sent "
                       f"{_vector(filtered.safe_acc_ned_mps2)} m/s^2 at h {filtered.h:.3f}")  # fmt: skip
-        kind = _kind(status)
-        if kind == _kind(self._status) or t_us < self._due_us:
+        if status == self._status or t_us < self._due_us or (kind := _kind(status)) == _kind(self._status):
             return
         before, self._status, self._due_us = _kind(self._status), status, t_us + _STATUS_PERIOD_US
         at = f"h {filtered.h:.3f}, at the state {filtered.h_state:.3f}"
@@ -239,8 +238,7 @@ class LogObserver:
         self._certifier = certifier
         if certifier is not None and certifier.elsewhere is not None:
             certifier.elsewhere.count_anew()
-        self._certificates, self._served, self._lost = 0, 0, False
-        self._placed = False
+        self._certificates, self._served, self._lost, self._placed = 0, 0, False, False
         self._location_due_us = 0
         self._resets = -1
 

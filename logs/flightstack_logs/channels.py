@@ -15,7 +15,7 @@ from flightstack_logs.wire import descriptor
 class Channel:
     """An open topic: where its messages go and how each type of record is encoded."""
 
-    __slots__ = ("_topic", "base", "copy_due_us", "encoders", "is_log", "is_shown", "log", "numbers", "packed")
+    __slots__ = ("_topic", "base", "copy_due_us", "encoders", "held", "is_log", "is_shown", "log", "numbers", "packed")
 
     def __init__(self, topic: Topic, context: foxglove.Context, *, packed: bool) -> None:
         schema, encoding = _schema(topic)
@@ -32,6 +32,8 @@ class Channel:
         self.encoders: dict[type, Encoder] = {}
         self.numbers: NumbersEncoder | None = None
         """Of rows of numbers; None before the first."""
+        self.held: rows.Numbers | None = None
+        """Where they are held until the chunk ends (`rows.RowBlocks.hold`)."""
 
     def open_numbers(self) -> NumbersEncoder:
         """From now on rows of numbers can be encoded."""

@@ -38,12 +38,16 @@ def schema() -> bytes:
     return descriptor(Topic("", Kind.TABLE, SCHEMA_NAME, 0.0, "", "", fields))
 
 
+Numbers = list[tuple[int, int, F64]]
+"""Time, place and numbers of rows."""
+
+
 class RowBlocks:
     """Rows that are collected until the chunk ends."""
 
     def __init__(self) -> None:
         self._rows: dict[tuple[str, int], list[bytes]] = {}
-        self._numbers: dict[tuple[str, int], list[tuple[int, int, F64]]] = {}
+        self._numbers: dict[tuple[str, int], Numbers] = {}
         self._encoders: dict[str, NumbersEncoder] = {}
         self._count = 0
 
@@ -57,15 +61,16 @@ class RowBlocks:
             rows = self._rows[key] = []
         rows.append(row)
 
-    def add_numbers(self, topic: str, t_us: int, numbers: F64, encoder: NumbersEncoder) -> None:
-        """One more row, encoded with all others when the chunk ends; nobody writes to `numbers` meanwhile."""
+    def hold(self, topic: str, encoder: NumbersEncoder) -> Numbers:
+        """From now on rows of numbers are taken as well (`add_numbers`), encoded all at once when the chunk ends."""
         key = topic, encoder.size + _HEAD.size
-        rows = self._numbers.get(key)
-        if rows is None:
-            rows = self._numbers[key] = []
-            self._encoders[topic] = encoder
-            self._rows.setdefault(key, [])
-        rows.append((t_us, self._count & 0xFFFF_FFFF, numbers))
+        self._encoders[topic] = encoder
+        self._rows.setdefault(key, [])
+        return self._numbers.setdefault(key, [])
+
+    def add_numbers(self, t_us: int, numbers: F64, held: Numbers) -> None:
+        """One more row to those that `hold` has given; nobody writes to `numbers` meanwhile."""
+        held.append((t_us, self._count & 0xFFFF_FFFF, numbers))
         self._count += 1
 
     def take(self) -> Iterator[tuple[str, bytes]]:
@@ -91,7 +96,7 @@ def _table(rows: list[bytes]) -> U8:
     return np.frombuffer(b"".join(rows), np.uint8).reshape(-1, len(rows[0]))
 
 
-def _table_of(rows: list[tuple[int, int, F64]], encoder: NumbersEncoder) -> U8:
+def _table_of(rows: Numbers, encoder: NumbersEncoder) -> U8:
     """(n, size) bytes of rows of numbers, each with its log time and place."""
     heads = np.array([(t_us, place) for t_us, place, _ in rows], _HEAD_TYPE)
     messages = encoder.encode(np.array([numbers for _, _, numbers in rows]))

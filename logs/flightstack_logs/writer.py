@@ -206,11 +206,13 @@ class FlightLog:
 
     def _pack_numbers(self, channel: Channel, topic: str, t_us: int, numbers: F64) -> int:
         """Bytes of the message that will be."""
-        encoder = channel.numbers or channel.open_numbers()
+        encoder, blocks = channel.numbers or channel.open_numbers(), self._blocks
         if numbers.shape != (encoder.count,):
             raise ValueError(f"{numbers.shape} numbers where {encoder.count} belong")
-        assert self._blocks is not None
-        self._blocks.add_numbers(topic, t_us, numbers, encoder)
+        assert blocks is not None
+        if channel.held is None:
+            channel.held = blocks.hold(topic, encoder)
+        blocks.add_numbers(t_us, numbers, channel.held)
         if t_us >= channel.copy_due_us and channel.is_shown:
             self._copy(channel, t_us, channel.encoders[np.ndarray](numbers))
         return encoder.size

@@ -29,9 +29,9 @@ ATTITUDE_BIT: Final = 0x10
 ARMED_BIT: Final = 0x80
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Mode:
-    """One flight mode."""
+    """One flight mode; there is one object of each."""
 
     nav_state: int
     title: str
