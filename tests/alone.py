@@ -9,15 +9,15 @@ import threading
 
 import pytest
 
-from flightstack.gap import evaluated
+from flightstack.gap import cores
 
 
 def require_one_thread() -> None:
     """End pools that idle; what is left fails the test by its name.  On one core it is skipped."""
     if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
         pytest.skip("no second core for a process, or no fork")
-    evaluated._pool().shutdown()
-    evaluated._pool.cache_clear()
+    cores._pool().shutdown()
+    cores._pool.cache_clear()
     gc.collect()  # pools that nobody holds any more end with their owner
     others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
     for thread in others:
