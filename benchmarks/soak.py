@@ -40,8 +40,11 @@ _QUAD, _CAPACITY = campaign.ROOT / "flightstack/data/vehicles" / "quad-x.toml", 
 """Ten times the battery: with its own the vehicle hovers for 27 minutes, then returns."""
 
 
-def bare(seconds: float) -> dict[str, float | int]:
-    """Sleep from deadline to deadline until told to end; the same figures as a flight's."""
+def bare(seconds: float, plain: bool) -> dict[str, float | int]:
+    """Sleep from deadline to deadline until told to end; the same figures as a flight's.
+
+    `plain`: as anybody would write it, without the short turns on the processor that a flight asks for.
+    """
     import numpy as np
 
     from mavlink_bridge.pace import Pace, undisturbed
@@ -49,7 +52,7 @@ def bare(seconds: float) -> dict[str, float | int]:
     between_us = np.full(int(1e6 * seconds / PERIOD_US), float(PERIOD_US))
     ended: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: ended.append(number))
-    with undisturbed(real_time=True) as is_ahead:
+    with undisturbed(real_time=not plain) as is_ahead:
         pace = Pace(PERIOD_US, is_ahead=is_ahead)
         pace.wait()
         for k in range(len(between_us)):
@@ -88,7 +91,7 @@ def flight(seconds: float, prefix: tuple[str, ...], port: int, out: Path) -> dic
     vehicle.write_text(_QUAD.read_text().replace(_CAPACITY, f"{_CAPACITY}0"))
     python, cli = [*prefix, sys.executable], [*prefix, sys.executable, "-m", "flightstack"]
     busy = [[*_NORMAL, sys.executable, "-c", _SPINS]] * _BUSY
-    loop = [*python, "-m", "benchmarks.soak", "--bare", str(seconds + _BESIDE_S)]
+    loop = [*python, "-m", "benchmarks.soak", "--bare", str(seconds + _BESIDE_S), *["--plain"] * (prefix == _NORMAL)]
     sim = [*cli, "sim", "--port", str(port), "--gcs-port", str(port + 1), "--vehicle", str(vehicle)]
     command = [*cli, "offboard", "--connect", f"udpin:127.0.0.1:{port}", "--arm", "--scenario", "hover"]
     command += ["--duration", str(seconds), "--out", str(out), "--json", str(out / "flight.json")]
@@ -133,9 +136,10 @@ def main() -> None:
     parser.add_argument("--port", type=int, default=14_660)
     parser.add_argument("--out", type=Path, default=Path("runs") / f"soak-{datetime.now():%Y%m%d-%H%M%S}")
     parser.add_argument("--bare", type=float, help=argparse.SUPPRESS)
+    parser.add_argument("--plain", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.bare:
-        print(json.dumps(bare(options.bare)))
+        print(json.dumps(bare(options.bare, options.plain)))
         return
     print(f"{date.today()}, {campaign.processor()}, {_BUSY} busy loops\n")
     print("| priority | flight, s | exit code | late, us: p50 | p99 | most | missed | gaps > 8 ms, named |", end="")
