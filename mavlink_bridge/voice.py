@@ -25,8 +25,7 @@ class Voice:
     def __init__(self, link: Link, *, speaks_first: bool = False) -> None:
         self._link, self._speaks_first = link, speaks_first
         self.system = 0
-        self.thrust_model_factor = 0.0
-        """The vehicle's THR_MDL_FAC, within 0..1: the curve that PX4 undoes before the motors."""
+        self._factor = 0.0
         self.rate_max_radps: Tuple3 = (math.inf, math.inf, math.inf)
         """The vehicle's MC_*RATE_MAX, which PX4 itself does not apply to body rates."""
         self.is_ground_station = True
@@ -34,10 +33,19 @@ class Voice:
         self._heartbeat_due_us = 0
         self._timesync_due_us = 0
 
+    @property
+    def thrust_model_factor(self) -> float:
+        """The vehicle's THR_MDL_FAC, within 0..1: the curve that PX4 undoes before the motors."""
+        return self._factor
+
+    @thrust_model_factor.setter
+    def thrust_model_factor(self, told: float) -> None:
+        self._factor = min(1.0, max(0.0, told))
+
     def heed(self, params: ParamReader) -> None:
         """Go by the vehicle's parameters as they are now.  Whoever set NAV_DLL_ACT counts on PX4 noticing that the
         ground station is gone."""
-        self.thrust_model_factor = min(1.0, max(0.0, params.values.get("THR_MDL_FAC", 0.0)))
+        self.thrust_model_factor = params.values.get("THR_MDL_FAC", 0.0)
         self.rate_max_radps = params.rate_max_radps
         self.is_ground_station = not params.values.get("NAV_DLL_ACT", 0.0)
 
@@ -86,7 +94,7 @@ class Voice:
         self._setpoint(t_us, LEVEL, (w, x, y, z), (0.0, 0.0, 0.0), thrust_norm)
 
     def _setpoint(self, t_us: int, mask: int, q: Tuple4, rates: Tuple3, thrust: float) -> None:
-        f = self.thrust_model_factor
+        f = self._factor
         wire = f * thrust * thrust + (1.0 - f) * thrust  # PX4 undoes the same curve
         if not 0.0 <= wire <= 1.0:
             wire = min(1.0, max(0.0, wire))

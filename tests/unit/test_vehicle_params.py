@@ -122,12 +122,17 @@ def test_a_vehicle_with_its_own_pulses_is_measured_by_them() -> None:
     assert measured.motor_command == pytest.approx([0.25, 0.5, 0.75, 1.0])
 
 
-@pytest.mark.parametrize("factor", [0.0, 0.3, 0.7, 1.0])
-def test_what_px4_undoes_before_the_motors_is_applied_to_what_is_sent(factor: float) -> None:
-    """PX4: u = (-(1 - f) + sqrt((1 - f)^2 + 4 f c)) / 2 f of the command c; the motors get the u that was wanted."""
+@pytest.mark.parametrize(
+    ("told", "factor"), [(0.0, 0.0), (0.3, 0.3), (0.7, 0.7), (1.0, 1.0), (7.0, 1.0), (-0.5, 0.0), (math.nan, 0.0)]
+)
+def test_what_px4_undoes_before_the_motors_is_applied_to_what_is_sent(told: float, factor: float) -> None:
+    """PX4: u = (-(1 - f) + sqrt((1 - f)^2 + 4 f c)) / 2 f of the command c; the motors get the u that was wanted.
+
+    THR_MDL_FAC lies in 0..1; what is told beyond that counts as the nearer end.
+    """
     link, ear = Link(240, 191), Link(1, 1)
     voice = Voice(link)
-    voice.system, voice.thrust_model_factor = 1, factor
+    voice.system, voice.thrust_model_factor = 1, told
     for wanted in (0.0, 0.2, 0.5, 0.9, 1.0):
         voice.fly(Command(0, 1.0, wanted, np.zeros(3)))
         ear.receive_datagram(link.datagrams_to_send()[0], 0)
