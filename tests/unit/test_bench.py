@@ -58,6 +58,12 @@ def test_a_busy_neighbour_is_waited_for() -> None:
     assert check(*slowing(10.0, 20.0, 20.0, 20.0, 20.0, 11.0)) == ""
 
 
+def test_what_goes_through_shared_memory_is_not_held() -> None:
+    parts, stated = slowing(10.0, 20.0)
+    parts[-1].held = False
+    assert check(parts, stated) == ""
+
+
 def test_another_processor_is_held_to_nothing_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     parts, stated = slowing(10.0, 20.0)
     assert check(parts, stated.replace(processor(), "8 cores of an abacus (bead)")) == ""
