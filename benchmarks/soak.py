@@ -121,6 +121,8 @@ def shortcoming(name: str, found: dict[str, Any]) -> str:
     late, alone = found["loop"]["lateness_us"], found["bare"]
     if found["exit_code"]:
         return f"{name}: the flight was ended, {found['reason']}"
+    if name == _REAL_TIME and not found["loop"]["real_time_priority"]:
+        return f"{name}: the priority is not permitted here"
     if name == _REAL_TIME and not (late["p99"] <= _P99_US and late["max"] <= _MOST_US):
         return f"{name}: late by {late['p99']:.0f} us (p99), {late['max']:.0f} us (most)"
     if name != _REAL_TIME and not late["p99"] <= _BARE * alone["p99"]:

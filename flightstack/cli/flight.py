@@ -218,15 +218,13 @@ class SimulatedFlight:
     def step(self) -> None:
         """4 ms of both ends."""
         companion, server, log, seam = self.companion, self.shell.server, self._log, self.shell.seam
+        most_bytes = 0 if seam.bad else MAX_DATAGRAM
         server.advance(TICK_MS)
-        bad = seam.bad
-        most_bytes = 0 if bad else MAX_DATAGRAM
         now_us, keeps_wire = self._clock.step(self.vehicle.plant.t_us), log.keeps_wire
         if self.faulty:
             for at_us, words in server.faults.new():
                 log.event(at_us, "fault", words)
-        said = server.datagrams(ONBOARD, most_bytes)
-        for data in self._carry(seam.out(ONBOARD, said) if bad else said, self._theirs, self._ours):
+        for data in self._carry(seam.out(ONBOARD, server.datagrams(ONBOARD, most_bytes)), self._theirs, self._ours):
             if keeps_wire:
                 log.mavlink("rx", now_us, data)
             companion.receive_datagram(data, now_us)
@@ -236,8 +234,7 @@ class SimulatedFlight:
         if keeps_wire:
             for data in answers:
                 log.mavlink("tx", now_us, data)
-        heard = self._carry(answers, self._ours, self._theirs)
-        for data in seam.into(ONBOARD, heard) if bad else heard:
+        for data in seam.into(ONBOARD, self._carry(answers, self._ours, self._theirs)):
             server.receive(ONBOARD, data)
         truth = self.vehicle.plant.truth()
         if engaged != companion.flight_start_us:
