@@ -110,7 +110,8 @@ def columns(vehicle: Vehicle, samples: Samples, every: int) -> F64:
     out = np.zeros((len(shapes), COLUMNS, 2 * _MODES + 1))
     size = bias_std(vehicle, samples)
     for axis in LEVEL:
-        out[:, axis, axis * _MODES : (axis + 1) * _MODES] = size[axis] / np.sqrt(2.0) * shapes
+        begin = axis * _MODES  # a flight of a few seconds has fewer shapes
+        out[:, axis, begin : begin + shapes.shape[1]] = size[axis] / np.sqrt(2.0) * shapes
     out[:, 2, -1] = size[2]
     return out
 

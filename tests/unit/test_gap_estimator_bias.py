@@ -7,13 +7,15 @@ import io
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from pyulog import ULog
 
 from benchmarks.gap_cases import make, write
-from flightstack.gap import pooled
+from flightstack.gap import estimator_bias, pooled
 from flightstack.gap.concluded import concluded
 from flightstack.gap.estimator_bias import slow_error, with_bias
 from flightstack.gap.gather import untold_force
@@ -208,3 +210,20 @@ def test_a_level_force_that_is_taken_for_the_belief_is_said_with_its_class() -> 
     assert untold_force(small) == ""
     assert untold_force(small, 0.06) == ""  # hypot(0.06, 0.03) is 1.1 times 0.06
     assert "moves by 0.03 m/s²" in untold_force(small, 0.04)
+
+
+@pytest.mark.parametrize("lasts_s", [1.0, 2.0, 3.0, 5.0, 8.0])
+def test_a_flight_of_a_few_seconds_has_fewer_shapes_and_no_fewer_columns(
+    lasts_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A flight whose process was killed soon after take-off; beside a long one its columns must be as many."""
+    monkeypatch.setattr(estimator_bias, "bias_std", lambda vehicle, samples: np.ones(3))
+    counts = set()
+    for span_s in (lasts_s, 60.0):
+        flight: Any = SimpleNamespace(t_s=np.arange(0.0, span_s, 0.004), dt_s=0.004)
+        found = estimator_bias.columns(quad(), flight, 5)
+        assert np.isfinite(found).all()
+        assert found[:, 0].any()
+        assert found[:, 1].any()
+        counts.add(found.shape[2])
+    assert len(counts) == 1
