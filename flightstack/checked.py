@@ -9,14 +9,25 @@ from typing import Any
 from flightstack.types import InputError, Tuple3
 
 _MOST_SHOWN = 200
+_MOST_LEVELS = 32
+"""Of tables and lists in one another; no file of ours has more than five."""
 
 
 def read_toml(text: str, source: str) -> dict[str, Any]:
     """The top table of a TOML text."""
     try:
-        return tomllib.loads(text)
+        data = tomllib.loads(text)
     except ValueError as error:  # tomllib's own, and Python's for a number of thousands of digits
         raise InputError(f"{source}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{source}: nested too deeply") from None
+    inside: list[Any] = [data]
+    for _ in range(_MOST_LEVELS):
+        values = (each.values() if isinstance(each, dict) else each for each in inside)
+        inside = [value for level in values for value in level if isinstance(value, dict | list)]
+    if inside:  # can be read, but not written again by what calls itself
+        raise InputError(f"{source}: nested too deeply")
+    return data
 
 
 def load_toml(text: str, source: str, schema: str, known: Iterable[str]) -> dict[str, Any]:

@@ -31,10 +31,18 @@ class TextFile:
     text: str
 
 
+MOST_CHARACTERS = 10_000_000
+"""Of a text: what is larger, or has no end (`/dev/zero`), took all of the machine's memory."""
+
+
 def read_text(path: Path) -> TextFile:
-    """A UTF-8 text file; InputError where it can't be read."""
+    """A UTF-8 text file; InputError where it can't be read or is larger than 10 MB."""
     try:
-        return TextFile(path, path.read_text(encoding="utf-8"))
+        with path.open(encoding="utf-8") as file:
+            text = file.read(MOST_CHARACTERS + 1)
+        if len(text) > MOST_CHARACTERS:
+            raise InputError(f"{path}: is larger than the {MOST_CHARACTERS / 1e6:.0f} MB that are read of a text file")
+        return TextFile(path, text)
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file (UTF-8 expected)") from None
     except OSError as error:

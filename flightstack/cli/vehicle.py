@@ -16,7 +16,6 @@ vehicle_app = typer.Typer(help="Make, check and fit vehicle files.", no_args_is_
 SCHEMA = "flightstack.vehicle-check/1"
 _ADDRESSES = ("udpin:", "udpout:", "serial:")
 _ULOG, _GZIP, _DATAFLASH = b"ULog", b"\x1f\x8b", b"\xa3\x95"
-_LARGEST_TEXT = 4_000_000
 _WAIT_S, _ANSWERS_S = 10.0, 20.0
 _SOURCE = "A PX4's address, a log (.ulg, .tlog, .BIN), or a file of its parameters."
 FromOption = Annotated[str, typer.Option("--from", help=_SOURCE)]
@@ -111,8 +110,6 @@ def parameters(source: str) -> dict[str, float]:
     from flightstack.cli.files import read_text
     from mavlink_bridge.param_file import listed_params
 
-    if path.stat().st_size > _LARGEST_TEXT:
-        raise InputError(f"{path}: too large for a file of parameters")
     return listed_params(read_text(path).text, str(path))
 
 

@@ -21,6 +21,8 @@ from flightstack_logs.standard import with_vehicle_topics
 
 _UNIT = 0.1
 """By which a quaternion's length may be off."""
+_MOST_CHARACTERS = 1_000_000
+"""Read of a map of columns, which has some dozen lines."""
 
 
 def flight(path: Path | str, vehicle: Vehicle, columns: Path | str | None = None) -> Flight:
@@ -54,9 +56,12 @@ def column_map(name: Path | str) -> ColumnMap:
     if str(name).isidentifier() and own.is_file():
         return parse_columns(own.read_text("utf-8"), f"columns {name}")
     try:
-        text = Path(name).read_text("utf-8")
+        with Path(name).open(encoding="utf-8") as file:
+            text = file.read(_MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"columns {name}: can't be read ({error}); check the path".replace("\n", " ")) from None
+    if len(text) > _MOST_CHARACTERS:
+        raise InputError(f"columns {name}: is too large for a map of columns")
     return parse_columns(text, f"columns {name}")
 
 

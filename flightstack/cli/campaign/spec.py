@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from bisect import bisect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -118,8 +117,8 @@ def _changed(text: str, changes: Sequence[str], source: str) -> str:
     data = read_toml(text, source)
     for change in changes:
         try:
-            merged(data, tomllib.loads(change))
-        except tomllib.TOMLDecodeError:
+            merged(data, read_toml(change, "--set"))
+        except InputError:
             raise InputError(f"--set {change}: not KEY=VALUE as TOML has it; a text needs quotes") from None
     return toml_text(data)
 
