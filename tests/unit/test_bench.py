@@ -6,7 +6,21 @@ import math
 
 import pytest
 
-from benchmarks.bench import COMPILED, PAGE, PYTHON, UNHELD, Part, behind, check, multiples, processor, table
+from benchmarks.bench import (
+    BEGIN,
+    COMPILED,
+    END,
+    PAGE,
+    PYTHON,
+    UNHELD,
+    Part,
+    behind,
+    check,
+    multiples,
+    processor,
+    table,
+    tables,
+)
 
 
 def lines(step_us: float) -> list[Part]:
@@ -36,10 +50,20 @@ def test_a_part_that_lost_a_quarter_of_its_speed_is_named() -> None:
     assert not behind(then, {}), "a part that is gone is not slow"
 
 
-def test_the_page_has_a_table() -> None:
-    found = multiples(PAGE.read_text("utf-8"))
-    assert len(found) >= 10
-    assert all(math.isfinite(value) and value > 0.0 for value in found.values())
+def test_the_page_has_tables() -> None:
+    found = tables(PAGE.read_text("utf-8").partition(BEGIN)[2].partition(END)[0])
+    assert found
+    for own in map(multiples, found.values()):
+        assert len(own) >= 10
+        assert all(math.isfinite(value) and value > 0.0 for value in own.values())
+
+
+def test_each_kind_of_processor_is_held_to_its_own_table() -> None:
+    parts, stated = slowing(10.0, 20.0)
+    other = table(lines(step_us=20.0)).replace(processor(), "8 cores of an abacus (bead)")
+    assert list(tables(f"{other}\n\n{stated}")) == ["8 cores of an abacus (bead)", processor()]
+    assert tables(f"{other}\n\n{stated}")[processor()] == stated
+    assert "plant: 0.4 times its kernel, 0.2 are stated" in check(parts, f"{stated}\n\n{other}")
 
 
 def slowing(before_us: float, *turns_us: float) -> tuple[list[Part], str]:
@@ -67,4 +91,6 @@ def test_what_goes_through_shared_memory_is_not_held() -> None:
 def test_another_processor_is_held_to_nothing_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     parts, stated = slowing(10.0, 20.0)
     assert check(parts, stated.replace(processor(), "8 cores of an abacus (bead)")) == ""
-    assert "not compared" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "not compared" in said
+    assert said.count("\n") == 1, "a table of what was not measured"
