@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from flightstack.certificate_check import check
+from flightstack.cli import protection
 from flightstack.cli.certify_site import EXPLORED, SiteCertified, certify_site
 from flightstack.cli.flight import FlyOptions, fly, prepare
 from flightstack.cli.replay import replay
@@ -72,13 +73,16 @@ def test_its_log_is_replayed_with_the_certificates_that_were_learned(tmp_path: P
     assert replay(tmp_path / "flight.mcap").same
 
 
-def test_its_certificate_stops_as_is_asked_and_is_flown_by(learnt: Learnt, tmp_path: Path) -> None:
+def test_its_certificate_stops_as_is_asked_and_is_flown_by(
+    learnt: Learnt, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     result = learnt.result
     assert result.certificate is not None
     text = result.certificate.read_text()
     verdict = check(text)
     assert verdict.valid, verdict.lines
     assert json.loads(text)["stops_within_m"]["5 m/s"] < 4.2
+    monkeypatch.setattr(protection, "require_checked", lambda file: None)  # it just was
     flown = fly(
         FlyOptions(scenario="figure8", out=tmp_path, site=learnt.site, certificate=result.certificate, duration_s=8.0),
         report_wanted=lambda result: False,
@@ -88,7 +92,7 @@ def test_its_certificate_stops_as_is_asked_and_is_flown_by(learnt: Learnt, tmp_p
 
 
 def test_in_more_wind_than_is_held_against_nothing_is_certified(tmp_path: Path) -> None:
-    result = certified(tmp_path, "steady-wind")
+    result = certified(tmp_path, "steady-wind", duration_s=12.0)
     assert not result.passed
     assert "felt beyond the model" in result.failure()
     assert not (tmp_path / "stopping.json").exists()
@@ -96,7 +100,7 @@ def test_in_more_wind_than_is_held_against_nothing_is_certified(tmp_path: Path) 
 
 def test_along_a_scenario_it_holds_as_fast_as_every_direction_was_flown(tmp_path: Path) -> None:
     """A hover flies in none."""
-    result = certified(tmp_path, "hover", explores=False, duration_s=10.0)
+    result = certified(tmp_path, "hover", explores=False, duration_s=6.0)
     assert result.passed, result.failure()
     assert result.made is not None
     assert result.made.prior.speed_mps < 0.1
@@ -118,9 +122,10 @@ def test_a_track_that_is_faster_than_it_holds_is_refused(learnt: Learnt, tmp_pat
 
 @pytest.mark.parametrize(("speed_mps", "is_broken"), [(0.4, True), (4.0, False)])
 def test_one_that_is_flown_faster_than_it_holds_ends(
-    learnt: Learnt, tmp_path: Path, speed_mps: float, is_broken: bool
+    learnt: Learnt, tmp_path: Path, speed_mps: float, is_broken: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The climb rises by some 1 m/s; from then on the prior's is kept to, and the site with it."""
+    monkeypatch.setattr(protection, "require_checked", lambda file: None)
     slow = slower(learnt, tmp_path, speed_mps)
     options = FlyOptions(scenario="hover", out=tmp_path, site=learnt.site, certificate=slow, duration_s=3.0)
     flown = fly(options, report_wanted=lambda result: False)

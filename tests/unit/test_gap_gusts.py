@@ -124,6 +124,7 @@ def test_an_accelerometers_bias_shows_in_its_signals_whatever_gusts_leave_of_the
     assert told_by_signals(believed(), found, pooled.split([clean], [])) == set()
 
 
+@ONLY_THEN
 def test_what_the_signals_show_stays_named_where_gusts_leave_most_of_the_gap(tmp_path: Path) -> None:
     """0.29, -0.32, -0.23 m/s^2 were found exactly and taken back, for gusts of 1.8 m/s^2 were there as well."""
     case = make("three", 5050120)
@@ -141,7 +142,7 @@ def test_what_the_signals_show_stays_named_where_gusts_leave_most_of_the_gap(tmp
         # as slow as what a filter believes of its bias: half of the gusts were taken for that
         pytest.param("one:turbulence", 5060163, "jsbsim", "mcap", {}, marks=pytest.mark.jsbsim),
         # fitted as if gusts were noise, a load 6 % too large made held-out data worse, and the gusts were not named
-        ("two", 5060504, "native", "csv", {"payload"}),
+        thorough("two", 5060504, "native", "csv", {"payload"}),
         # a wind was named for the mean of gusts 48 m long, which closes most of what they do in 24 s
         thorough("three", 5060511, "native", "mcap", {"thrust_curve", "transport_delay"}),
     ],

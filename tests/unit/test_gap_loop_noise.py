@@ -19,7 +19,7 @@ from tests.thorough import thorough
 
 SIH = load_vehicle("px4-sihsim-quadx")
 FLIGHTS = [
-    (0.133, 1.612, 1.4, 2),
+    thorough(0.133, 1.612, 1.4, 2),
     (0.111, 1.502, 1.4, 4),
     (0.3, 1.7, 1.4, 23),
     thorough(0.056, 1.767, 0.8, 5),

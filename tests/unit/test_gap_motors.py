@@ -21,6 +21,7 @@ from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle, vehicle_to_toml
 from flightstack_logs.readers.csv_file import HEADER
 from tests.gap_flights import Flown, fly, hidden, hover, quad, wander
+from tests.thorough import thorough
 
 DRAG = {"d_x_kgps": 0.45, "d_y_kgps": 0.35, "d_z_kgps": 0.4}
 PAYLOAD_KG = 0.2
@@ -156,7 +157,7 @@ def test_beside_something_unexplained_a_load_must_be_clear(
     assert "payload" in {each.name for each in told.found}
 
 
-@pytest.mark.parametrize("share", [0.6, 1.3])
+@pytest.mark.parametrize("share", [0.6, thorough(1.3)])
 def test_a_load_of_more_than_half_the_mass_is_a_thrust_that_leaves_the_drag_as_it_is(
     tmp_path: Path, share: float
 ) -> None:

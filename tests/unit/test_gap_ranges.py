@@ -19,7 +19,7 @@ from flightstack.gap.workflow import analyse
 from flightstack.vehicle import Vehicle, with_effects
 from tests import gap_batch as batch
 from tests.gap_flights import quad
-from tests.thorough import thorough
+from tests.thorough import ONLY_THEN, thorough
 
 MASS, THRUST = 1.2, 0.85
 
@@ -117,6 +117,7 @@ def test_a_plain_file_s_single_wrong_number_keeps_its_narrow_interval() -> None:
     assert told.found[0].manoeuvre != WEIGH
 
 
+@ONLY_THEN
 def test_too_much_thrust_in_the_file_is_no_damping_and_no_rotor_s_inertia(tmp_path: Path) -> None:
     """Five wrong numbers, a delay: load and inertia came out 1.17 times too large, and dampings with them."""
     case = make("one:transport_delay", 5052011)

@@ -237,8 +237,7 @@ def test_a_cache_that_was_filled_on_another_processor_is_not_taken_for_compiled(
         machine_key.cache_clear()
 
 
-@pytest.mark.parametrize("kind", ["nbc", "nbi"])
-@pytest.mark.parametrize("rest", [0, 100])
+@pytest.mark.parametrize(("kind", "rest"), [("nbc", 100), ("nbi", 0)])
 def test_code_that_a_power_cut_left_half_written_is_compiled_anew_and_kept(
     kind: str, rest: int, tmp_path: Path
 ) -> None:
@@ -275,13 +274,13 @@ def work(a, b):
     if len(b) == 1:
         raise ValueError("one is too few")
     out = np.zeros(len(b) + 1)
-    out[1:] = np.linalg.solve(a, b)
-    return out, np.sort(out)[0], len(b)
+    out[1:] = np.dot(a, b)
+    return out, out.min(), len(b)
 
 
-out, least, count = work(np.array([[2.0, 0.0], [0.0, -4.0]]), np.ones(2))
+out, least, count = work(np.array([[0.5, 0.0], [0.0, -0.25]]), np.ones(2))
 try:
-    work(np.eye(1), np.ones(1))
+    work(np.ones((1, 1)), np.ones(1))
 except ValueError as error:
     said = str(error)
 loaded, before = work.stats.cache_hits != {}, "numba.np.arrayobj" in sys.modules
@@ -289,7 +288,7 @@ loaded, before = work.stats.cache_hits != {}, "numba.np.arrayobj" in sys.modules
 
 @njit
 def later(n):
-    return work(np.eye(n), np.arange(n) + 1.0)[0].sum()
+    return work(2.0 * np.ones((n, n)), np.ones(n))[2]
 
 
 print(json.dumps([out.tolist(), least, count, said, loaded, before, later(3)]))
@@ -312,7 +311,7 @@ def test_code_is_loaded_without_what_only_compiling_needs_and_more_can_be_compil
         for each in (tmp_path / "code").rglob("*later*"):
             each.unlink()
     same = [[0.0, 0.5, -0.25], -0.25, 2, "one is too few"]
-    assert answers == [[*same, False, True, 6.0], [*same, True, False, 6.0]]
+    assert answers == [[*same, False, True, 3], [*same, True, False, 3]]
 
 
 _UNKEPT = """from flightstack.cli import compiled
