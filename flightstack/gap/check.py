@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from flightstack.gap.checks import conventions, quality, speeds
 from flightstack.gap.checks.clocks import judge_rates, settle_clocks
 from flightstack.gap.checks.exclusions import exclude_ground_contact, exclude_stopped_rotors, standing_m
 from flightstack.gap.checks.grid import SLOWEST_MOTOR_S, period_s
+from flightstack.gap.checks.motion import KINEMATIC, LEAST_ROWS
 from flightstack.gap.checks.offsets import find_offsets, is_certain, shifted
 from flightstack.gap.checks.rotors import judge_vehicle, moves
 from flightstack.gap.checks.samples import flying_span, make_samples
@@ -37,6 +39,12 @@ _MISSED = {
     "pos_ned_m": "position: no ground effect",
 }
 
+_ABSURD = 1e9
+"""Beyond it no unit makes a value one of a flight."""
+_LARGEST = {"rate_frd_radps": 300.0, "accel_frd_mps2": 5e3, "vel_ned_mps": 1e3, "acc_ned_mps2": 5e3}
+"""What is larger, once units are known, no sensor measures on a vehicle: gyros end at 70 rad/s, accelerometers at
+2,000 m/s^2."""
+
 _FREED_SAYS = (
     "PX4's idea of the accelerometer's bias was subtracted: no steady side force below 0.4 m/s^2 can be told from its "
     "errors; a ULog holds the accelerometer as it is"
@@ -51,6 +59,8 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     """
     signals, findings = settle_clocks(flight.signals, flight.kind)
     signals, more = speeds.commands_of_speeds(signals, vehicle)
+    findings += more
+    signals, more = _without_absurd(signals, dict.fromkeys(signals, _ABSURD))
     findings += [*more, *_lacking(signals, flight.kind, kinematics_only)]
     if _is_refused(findings):
         return Checked(flight, None, tuple(findings), ())
@@ -68,8 +78,10 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     signals, spikes = without_spikes(signals, span)
     signals, more = conventions.settle(signals, span)
     findings += [*spikes, *more, *judge_rates(signals, span, flight.kind)]
-    signals, more = _without_rare_imu(signals)
-    findings += more
+    strange_gyro = partial(quality.settle_gyro, span_s=span)
+    for without in (partial(_without_absurd, largest=_LARGEST), _without_few_rows, _without_rare_imu, strange_gyro):
+        signals, more = without(signals)
+        findings += more
     offsets = find_offsets(signals, span)
     findings += [_late(each) for each in offsets if is_certain(each)]
     signals = shifted(signals, offsets)
@@ -106,6 +118,36 @@ def _in_the_air(seconds: float) -> Finding:
     if seconds < SHORT_FLIGHT_S:
         return warning("flight", f"only {seconds:.3g} s in the air; little can be told apart")
     return ok("flight", f"{seconds:.1f} s in the air")
+
+
+def _without_absurd(
+    signals: dict[str, Signal], largest: Mapping[str, float]
+) -> tuple[dict[str, Signal], list[Finding]]:
+    """A value that is none of a flight is a fill value, lost bits or another unit: squared it spoils every sum.
+
+    Where most samples are such, the signal is left out.
+    """
+    out, findings = dict(signals), []
+    for name, most in largest.items():
+        if name not in out or not len(out[name].t_s):
+            continue
+        each = out[name]
+        wrong = np.any(np.abs(each.value.reshape(len(each.t_s), -1)) > most, axis=1)
+        if not wrong.any():
+            continue
+        left = ~wrong if wrong.mean() < HALF else np.zeros_like(wrong)
+        out[name] = Signal(each.t_s[left], each.value[left], each.source)
+        text = f"{name}: {int(wrong.sum())} of {len(wrong)} samples are beyond {most:g}"
+        findings.append(warning("spikes", f"{text}; {'left out' if left.any() else 'all of it is left out'}"))
+    return {name: each for name, each in out.items() if len(each.t_s)}, findings
+
+
+def _without_few_rows(signals: dict[str, Signal]) -> tuple[dict[str, Signal], list[Finding]]:
+    """What is left of a damaged signal may be a few rows: it is not there."""
+    few = {name: len(signals[name].t_s) for name in KINEMATIC if name in signals}
+    few = {name: rows for name, rows in few.items() if rows < LEAST_ROWS}
+    findings = [warning("signals", f"{name}: only {rows} rows can be used; left out") for name, rows in few.items()]
+    return {name: each for name, each in signals.items() if name not in few}, findings
 
 
 def _without_rare_imu(signals: dict[str, Signal]) -> tuple[dict[str, Signal], list[Finding]]:

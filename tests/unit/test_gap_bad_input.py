@@ -16,7 +16,9 @@ from shipped import load_vehicle
 
 from flightstack.cli.main import main
 from flightstack.gap.check import check
+from flightstack.gap.checks.motion import LEAST_ROWS
 from flightstack.gap.read import flight
+from flightstack.gap.records import Checked
 from flightstack.types import F64
 from flightstack.vehicle import vehicle_to_toml
 from tests.flown import HEADER
@@ -26,6 +28,7 @@ QUAD = load_vehicle("quad-x")
 COLUMNS = HEADER.split(",")
 MOTORS = [COLUMNS.index(f"motor_{i}") for i in range(1, 5)]
 SECONDS = 14.0
+SAMPLED = ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2", "motor")
 _ROWS_A_SECOND = 125
 
 
@@ -133,6 +136,85 @@ def test_a_log_that_is_cut_off_is_used_up_to_the_cut(tmp_path: Path) -> None:
     samples = check(flight(tmp_path / "log.csv", QUAD), QUAD).samples
     assert samples is not None
     assert samples.t_s[-1] == pytest.approx(0.7 * SECONDS, abs=0.1)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 8, 9])
+@pytest.mark.parametrize("first", ["pos_n_m", "vel_n_mps", "q_w", "rate_x_radps", "accel_x_mps2"])
+def test_a_signal_of_which_a_few_rows_are_left_is_not_there(first: str, rows: int, tmp_path: Path) -> None:
+    """Of a damaged attitude a handful of rows had length one: what looks for late stamps ended in a traceback."""
+    at, width = COLUMNS.index(first), 4 if first == "q_w" else 3
+    table = good().copy()
+    spoilt = np.ones(len(table), np.bool_)
+    spoilt[len(table) // 2 :: 20][:rows] = False
+    table[spoilt, at : at + width] = np.nan
+    (tmp_path / "log.csv").write_bytes(csv(table))
+    checked = check(flight(tmp_path / "log.csv", QUAD), QUAD)
+    said = [finding.text for finding in checked.findings if f"only {rows} rows" in finding.text]
+    assert bool(said) is (rows < LEAST_ROWS)
+    if first in ("q_w", "rate_x_radps") and rows < LEAST_ROWS:
+        assert checked.samples is not None
+
+
+@pytest.mark.parametrize("value", [1e10, -9.96921e36, 1e300])
+@pytest.mark.parametrize("first", ["pos_n_m", "vel_n_mps", "q_w", "rate_y_radps", "accel_x_mps2", "motor_2"])
+def test_fill_values_of_a_stretch_are_left_out(first: str, value: float, tmp_path: Path) -> None:
+    """A tenth of the samples, too many for spikes; squares of 1e300 ended in a traceback of LAPACK's."""
+    table = good().copy()
+    begin = len(table) // 2
+    table[begin : begin + len(table) // 10, COLUMNS.index(first)] = value
+    (tmp_path / "log.csv").write_bytes(csv(table))
+    checked = check(flight(tmp_path / "log.csv", QUAD), QUAD)
+    assert checked.samples is not None
+    assert all(np.abs(np.nan_to_num(getattr(checked.samples, name))).max() < 1e3 for name in SAMPLED)
+
+
+@pytest.mark.parametrize(("first", "times"), [("rate_x_radps", 1e5), ("accel_x_mps2", 1e5), ("vel_n_mps", 1e5)])
+def test_a_signal_that_no_sensor_measures_is_left_out_whole(first: str, times: float, tmp_path: Path) -> None:
+    """Rates of 18,000 rad/s: the vehicle that was fitted to them tumbled to infinity, which ended in a traceback."""
+    table = good().copy()
+    at = COLUMNS.index(first)
+    table[:, at : at + 3] = times * (1.0 + np.abs(table[:, at : at + 3]))
+    (tmp_path / "log.csv").write_bytes(csv(table))
+    checked = check(flight(tmp_path / "log.csv", QUAD), QUAD)
+    assert any("all of it is left out" in finding.text for finding in checked.findings)
+
+
+def spoilt_axis(column: str, noise: float, tmp_path: Path) -> Checked:
+    table = good().copy()
+    table[:, COLUMNS.index(column)] = noise * np.random.default_rng(1).normal(size=len(table))
+    (tmp_path / "log.csv").write_bytes(csv(table))
+    return check(flight(tmp_path / "log.csv", QUAD), QUAD)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3, 5.0])
+@pytest.mark.parametrize("axis", "xz")
+def test_a_gyro_with_a_dead_or_noisy_axis_is_left_out(axis: str, noise: float, tmp_path: Path) -> None:
+    """The motors push and nothing turns: an inertia of twice the file's was named, and nothing was unexplained."""
+    checked = spoilt_axis(f"rate_{axis}_radps", noise, tmp_path)
+    (said,) = (finding.text for finding in checked.findings if finding.name == "gyro")
+    assert f"does not follow the attitude about {axis} (" in said
+    assert checked.samples is not None
+    known = checked.samples.valid
+    (sound,) = fly(QUAD, [{}], seconds=SECONDS)
+    wanted = np.column_stack([np.interp(checked.samples.t_s, sound.t_s, each) for each in sound.rate_frd_radps.T])
+    assert np.std((checked.samples.rate_frd_radps - wanted)[known]) < 0.5 * np.std(wanted[known])
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_gyro_is_kept_where_the_attitude_is_the_one_that_is_dead_or_noise(noise: float, tmp_path: Path) -> None:
+    checked = spoilt_axis("q_z", noise, tmp_path)
+    assert "rate_frd_radps" in checked.flight.signals
+    assert not [finding for finding in checked.findings if finding.name == "gyro"]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_motor_whose_command_was_not_logged_is_no_load_on_the_other_side(noise: float, tmp_path: Path) -> None:
+    """The other three at the same thrust, a shifted mass: 93 % of the gap closed."""
+    checked = spoilt_axis("motor_2", noise, tmp_path)
+    assert checked.samples is None
+    assert [f.text for f in checked.findings if f.level == "refused"] == [
+        "motor 2 stands still while the vehicle flies: its command was not logged; log all four"
+    ]
 
 
 VEHICLES = {

@@ -21,7 +21,7 @@ SIH = load_vehicle("px4-sihsim-quadx")
 FLIGHTS = [
     thorough(0.133, 1.612, 1.4, 2),
     (0.111, 1.502, 1.4, 4),
-    (0.3, 1.7, 1.4, 23),
+    thorough(0.3, 1.7, 1.4, 23),
     thorough(0.056, 1.767, 0.8, 5),
     thorough(0.281, 1.378, 1.4, 1),
     thorough(0.12, 1.6, 1.4, 21),

@@ -16,6 +16,8 @@ from flightstack_logs.turn import conjugate, multiply
 
 G_NED = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 KINEMATIC = ("pos_ned_m", "vel_ned_mps", "q_ned_frd", "rate_frd_radps", "accel_frd_mps2")
+LEAST_ROWS = 9
+"""Of a signal that says anything of a motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +39,7 @@ class Motion:
 
 def motion(signals: Mapping[str, Signal], span_s: tuple[float, float], dt_s: float) -> Motion | None:
     """The kinematic signals within a span of time; None where nothing is in it."""
-    used = {name: signals[name] for name in KINEMATIC if name in signals and len(signals[name].t_s) > 8}
+    used = {name: signals[name] for name in KINEMATIC if name in signals and len(signals[name].t_s) >= LEAST_ROWS}
     if not used:
         return None
     begin = max(span_s[0], *(float(each.t_s[0]) for each in used.values()))

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flightstack.gap.checks.clocks import longest_run
+from flightstack.gap.checks.conventions import correlation
 from flightstack.gap.checks.grid import period_s
 from flightstack.gap.checks.motion import G_NED, band, integrated, motion, rate_hz, rates_of
 from flightstack.gap.checks.rotors import felt_gravity
-from flightstack.gap.decisions import EDGE_S, SMALL_SHARE
+from flightstack.gap.decisions import CLEAR_SHARE, EDGE_S, HALF, SMALL_SHARE
 from flightstack.gap.records import Finding, Offset, Samples, Signal, refused, warning
 from flightstack.types import F64
 from flightstack.vehicle import Vehicle
@@ -23,6 +24,11 @@ _OFTEN = 0.02
 _CLIPPED = 0.001
 _RAW_HZ = 50.0
 _DISAGREE = 0.6
+_STRAYS_RADPS = 0.05
+"""How far gyro and attitude are apart (rms, 0.2 to 4 Hz) where one is wrong; up to 0.03 in logs of PX4's."""
+_NOISE = 2.0
+"""Of rates about an axis, what is faster than 4 Hz against what is slower: up to 1.4 where they are sound, from 3.5 on
+where they are noise."""
 _CELL_V = (2.8, 4.5)
 _BEYOND = 0.05
 _STRAIGHT = 0.002
@@ -159,6 +165,31 @@ def _clipping(name: str, signal: Signal, span: tuple[float, float]) -> list[Find
                 return [warning("clipping", f"{name}: {axis} stands at {edge:.4g} in {100 * share:.1f} % of the time: "
                                 "the sensor is at its limit")]  # fmt: skip
     return []
+
+
+def settle_gyro(signals: dict[str, Signal], span_s: tuple[float, float]) -> tuple[dict[str, Signal], list[Finding]]:
+    """The signals without a gyro of which an axis says something else than the attitude, where another one does not.
+
+    A dead or noisy axis passes for inertia: the motors push and nothing turns.  The attitude says how it turned.
+    """
+    used = {name: each for name, each in signals.items() if name in ("q_ned_frd", "rate_frd_radps")}
+    slowest_hz = min((rate_hz(each) for each in used.values()), default=0.0)
+    seen = motion(used, span_s, 1.0 / float(np.clip(2.0 * slowest_hz, 50.0, 125.0)))
+    if seen is None or len(seen.columns) < 2:
+        return signals, []
+    both, high_hz = (rates_of(seen["q_ned_frd"], seen.dt_s), seen["rate_frd_radps"]), min(4.0, 0.2 * slowest_hz)
+    turned, gyro = (band(each, seen.dt_s, 0.2, high_hz) for each in both)
+    alike = np.array([correlation(turned[:, [axis]], gyro[:, [axis]], seen.dt_s)[0] for axis in range(3)])
+    size, other = np.std(turned, axis=0), np.std(gyro, axis=0)
+    strays = (alike < HALF) & (np.std(turned - gyro, axis=0) > _STRAYS_RADPS) & (size > _STRAYS_RADPS)
+    strays &= np.std(both[0] - turned, axis=0) < _NOISE * size  # else the attitude is the one, or nobody knows which
+    strays &= (other < HALF * size) | (np.std(both[1] - gyro, axis=0) > _NOISE * other)
+    if not strays.any() or alike.max() < CLEAR_SHARE:
+        return signals, []
+    said = ", ".join(f"{axis} {each:.2f}" for axis, each in zip("xyz", alike, strict=True))
+    text = f"the gyro does not follow the attitude about {' and '.join(np.array(list('xyz'))[strays])} (correlation "
+    text += f"{said}): it is left out, body rates come from the attitude"
+    return {name: each for name, each in signals.items() if name != "rate_frd_radps"}, [warning("gyro", text)]
 
 
 def judge_consistency(

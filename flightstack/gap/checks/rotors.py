@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flightstack.gap.checks.flying import rotor_thrust
 from flightstack.gap.checks.motion import band
-from flightstack.gap.decisions import CLEAR_SHARE, HALF, ORDER_MARGIN, THRUST_OFF
+from flightstack.gap.decisions import CLEAR_SHARE, HALF, ORDER_MARGIN, STOPPED, THRUST_OFF
 from flightstack.gap.records import Finding, Samples, ok, refused, warning
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
@@ -27,7 +27,17 @@ _RINGS_S = 0.5
 
 def judge_vehicle(samples: Samples, vehicle: Vehicle) -> list[Finding]:
     """Refusals where the file's rotors are in another order or its thrust is far from the log's; else nothing or ok."""
-    return [*_thrust(samples, vehicle), *_order(samples, vehicle)]
+    return _stopped(samples) or [*_thrust(samples, vehicle), *_order(samples, vehicle)]
+
+
+def _stopped(samples: Samples) -> list[Finding]:
+    """A rotor that never turns carries nothing: taken for one that does, a load on the other side is named."""
+    share = np.mean(samples.motor[samples.valid] < STOPPED, axis=0)
+    still = [str(place + 1) for place in np.flatnonzero(share > CLEAR_SHARE)]
+    if not still:
+        return []
+    text = f"motor {' and '.join(still)} stands still while the vehicle flies: its command was not logged; log all four"
+    return [refused("motors", text)]
 
 
 def _thrust(samples: Samples, vehicle: Vehicle) -> list[Finding]:
