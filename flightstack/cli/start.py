@@ -9,7 +9,7 @@ import sys
 _ENDS_IN_THE_BACKGROUND = ("sim", "warmup")
 """Verbs that nothing has to land from: Ctrl-C ends them also where a shell's script had it ignored."""
 _COLLECTED_AFTER = 50_000, 20, 20
-"""Imports make a million objects of which none goes: looked through as often as Python does, a tenth of a start."""
+"""Imports make a million objects, none of which goes: looking through them as often as Python does is a tenth of it."""
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ _DISAGREE = 0.6
 _STRAYS_RADPS = 0.05
 """How far gyro and attitude are apart (rms, 0.2 to 4 Hz) where one is wrong; up to 0.03 in logs of PX4's."""
 _NOISE = 2.0
-"""Of rates about an axis, what is faster than 4 Hz against what is slower: up to 1.4 where they are sound, from 3.5 on
+"""Of rates about an axis, what is faster than 4 Hz against what is slower: up to 1.4 where they are sound, from 3.0 on
 where they are noise."""
 _CELL_V = (2.8, 4.5)
 _BEYOND = 0.05
