@@ -15,6 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it
 
 from flightstack.jit import Entry
 from tests.branches import in_a_child, is_branching
+from tests.thorough import THOROUGH
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
     # Begun in a shell's background: every process of a test would inherit that Ctrl-C is ignored.
@@ -23,8 +24,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_threa
 
 Entry.checked = True  # what a compiled function is promised of its arguments is looked at
 
-settings.register_profile("any machine", suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("any machine")  # how soon examples are drawn is the machine's business
+settings.register_profile("any machine", suppress_health_check=[HealthCheck.too_slow], derandomize=not THOROUGH)
+settings.load_profile("any machine")  # how soon examples are drawn is the machine's business; others each time: make thorough
 
 LONGEST = (
     "loopback/test_site_learned.py", "loopback/test_cli.py", "unit/test_stopping_certificate.py",

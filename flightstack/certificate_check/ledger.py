@@ -58,6 +58,8 @@ def check_ledger(
     response = numbers(axis["response"], ("c1_s", "c2_s2", "delay_s"), f"{name}.response")
     if min(response) < 0.0:
         raise Refused(f"{name}.response: lags and delay must be at least 0")
+    if name == "down" and response[1] != 0.0:
+        raise Refused(f"down.response.c2_s2 = {response[1]:.6g}, thrust follows its command by one lag: 0")
     low, acc = float(nodes[N_ERROR_LOW].max()), float(estimate[2])
     torque = torque_of(known, _AXES.index(name))
     if not abs(stated["torque"] - torque) <= _NEAR:

@@ -266,6 +266,17 @@ def test_nothing_put_anywhere_raises(draw: st.DataObject) -> None:
         assert path[-1] == "because" or still_true(json.loads(small_text()), tuple(path), resealed(data))
 
 
+@pytest.mark.parametrize("little", [5e-324, 1e-9, 1e-4])
+def test_nothing_is_added_to_what_is_nothing(little: float) -> None:
+    """Thrust follows its command by one lag: a second one, however short, is another vehicle's."""
+    data = json.loads(small_text())
+    assert data["axes"][0]["response"]["c2_s2"] == 0.0
+    data["axes"][0]["response"]["c2_s2"] = little
+    verdict = check(resealed(data))
+    assert not verdict.valid
+    assert "c2_s2" in verdict.lines[-1]
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6))
 def test_truncated_text_is_one_line(start: int) -> None:
