@@ -67,7 +67,6 @@ class _Wire:
 
     def sample(self, vehicle: SimulatedVehicle) -> None:
         e, means = vehicle.estimate, vehicle.sensors.mean_imu.tolist()
-        raw = tuple(np.round(vehicle.sensors.raw_accel_frd_mps2, 2).tolist())
         sent: list[tuple[str, tuple[object, ...]]] = [
             ("imu", (e.t_us, tuple(means[3:]), tuple(means[:3]))),
             ("motors", (e.t_us, tuple(vehicle.motor_command))),
@@ -75,7 +74,8 @@ class _Wire:
         if self._count % 2 == 0:
             sent.append(("position", (e.t_us, e.pos_ned_m, e.vel_ned_mps)))
         if self._count % 10 == 0:
-            sent.append(("raw_imu", (e.t_us, raw)))
+            raw = np.round(vehicle.sensors.raw_accel_frd_mps2, 2)
+            sent.append(("raw_imu", (e.t_us, tuple(raw.tolist()))))
         if self._count % 5 != 4:
             sent.append(("attitude", (e.t_us, e.q_ned_frd, e.rate_frd_radps)))
         self._count += 1

@@ -81,12 +81,13 @@ class VehicleBatch:
     def _share(self, work: Callable[[int, int], None], threads: int | None) -> None:
         """`work(first, last)` for the vehicles of each thread; None: one for each core where there are enough."""
         blocks = self._state.shape[1] // LANES
-        count = min(os.cpu_count() or 1, blocks // _LEAST_SHARE) if threads is None else min(threads, blocks)
-        count = min(max(count, 1), _MOST_THREADS)
-        edges = (LANES * (np.arange(count + 1) * blocks // count)).tolist()
-        if count == 1:
-            work(*edges)
+        count = min(blocks // _LEAST_SHARE if threads is None else threads, blocks, _MOST_THREADS)
+        if count > 1 and threads is None:  # asking for the cores takes as long as ten vehicles' step
+            count = min(count, os.cpu_count() or 1)
+        if count <= 1:
+            work(0, LANES * blocks)
             return
+        edges = (LANES * (np.arange(count + 1) * blocks // count)).tolist()
         for job in [self._pool.submit(work, low, high) for low, high in pairwise(edges)]:
             job.result()
 

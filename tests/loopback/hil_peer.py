@@ -40,8 +40,8 @@ class Peer:
 
     port: int
     heard: dict[str, list[Any]] = field(default_factory=dict)
-    most_at_once: int = 0
-    """Sensor messages that came in one go: more than 1 is no lockstep."""
+    in_company: int = 0
+    """How often more than one sensor message came in one go: in lockstep only after a stall of this peer's own."""
     target: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """North, east, up, yaw."""
 
@@ -83,7 +83,7 @@ class Peer:
         end_us: int | None = None
         while True:
             sensors = [message for message in self.hear() if message.get_type() == "HIL_SENSOR"]
-            self.most_at_once = max(self.most_at_once, len(sensors))
+            self.in_company += len(sensors) > 1
             for sensor in sensors:
                 motors = controls() if controls else self.hover(sensor) if armed else [0.0] * 4
                 self.answer(sensor.time_usec, motors, armed=armed)

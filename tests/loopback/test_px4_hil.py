@@ -62,7 +62,7 @@ def flown() -> tuple[Peer, dict[str, tuple[float, float, float]]]:
     with _simulator(port, "--speed", "50") as sim:
         peer = Peer(port)
         peer.fly(2.0, armed=False)
-        peer.most_at_once = 0  # before PX4's first answer time runs freely
+        peer.in_company = 0  # before PX4's first answer time runs freely
         peer.target = (0.0, 0.0, 2.0, 0.0)
         peer.fly(6.0, armed=True)
         seen["up"] = peer.state()
@@ -80,7 +80,7 @@ def test_the_stand_in_flies_it_in_lockstep(flown: tuple[Peer, dict[str, tuple[fl
     assert seen["up"] == pytest.approx((0.0, 0.0, 2.0), abs=0.2)
     assert seen["there"] == pytest.approx((2.0, -1.0, 2.0), abs=0.25)
     assert euler(peer.heard["HIL_STATE_QUATERNION"][-1].attitude_quaternion)[2] == pytest.approx(0.6, abs=0.1)
-    assert peer.most_at_once == 1
+    assert peer.in_company <= 3  # of 3,500: an answer is waited for 0.25 s, which a busy machine may hold this peer up
     stamps = np.array([message.time_usec for message in peer.heard["HIL_SENSOR"]])
     assert set(np.diff(stamps)) == {4000}
     assert 0 < stamps[0] < 100_000
