@@ -303,6 +303,7 @@ def test_a_name_that_refinement_leaves_nothing_of_has_vanished() -> None:
     assert interval_contains_nominal([nothing, some, rope, fixed]) == ("payload",)
 
 
+@ONLY_THEN
 def test_a_drag_that_shows_in_the_last_third_only_is_named_beside_what_always_shows(tmp_path: Path) -> None:
     case = make("three", 4620011)  # hovers for 24 of 38 s with a shifted mass, then moves; its drag was "unexplained"
     log, _, _ = write(case, tmp_path, "case")

@@ -311,7 +311,7 @@ def test_a_drag_of_the_file_off_by_what_would_be_named_is_named(dragged: Vehicle
         assert value_ == pytest.approx(1.0 + row.smallest, abs=5.0 * np.sqrt(3.0) * row.error)
 
 
-@pytest.mark.parametrize("errors", [3.0, thorough(4.5), 6.5])
+@pytest.mark.parametrize("errors", [thorough(3.0), thorough(4.5), 6.5])
 def test_beside_a_load_a_factor_on_the_file_s_drag_is_a_name_from_its_own_least_evidence_on(
     dragged: Vehicle, errors: float
 ) -> None:

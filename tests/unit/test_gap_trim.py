@@ -19,6 +19,7 @@ from flightstack.gap.result import GapResult
 from flightstack.types import F64
 from flightstack_logs.turn import multiply
 from tests.flown import flown, with_signal
+from tests.thorough import ONLY_THEN
 
 VEHICLE = load_vehicle("quad-x")[0]
 SCALE = 0.9
@@ -67,6 +68,7 @@ def test_a_weak_rotor_without_a_gyro_has_the_size_that_balances_the_mean_command
     assert scale.low < SCALE < scale.high
 
 
+@ONLY_THEN
 def test_of_whole_rotors_none_is_called_weak(monkeypatch: pytest.MonkeyPatch) -> None:
     result = said(monkeypatch, 1.0, 0)
     assert {each.name for each in result.found} <= {"thrust_scale", "payload"}
