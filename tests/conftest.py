@@ -25,7 +25,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_threa
 Entry.checked = True  # what a compiled function is promised of its arguments is looked at
 
 settings.register_profile("any machine", suppress_health_check=[HealthCheck.too_slow], derandomize=not THOROUGH)
-settings.load_profile("any machine")  # how soon examples are drawn is the machine's business; others each time: make thorough
+settings.load_profile(
+    "any machine"
+)  # how soon examples are drawn is the machine's; `make thorough` draws others each time
 
 LONGEST = (
     "loopback/test_site_learned.py", "loopback/test_cli.py", "unit/test_stopping_certificate.py",

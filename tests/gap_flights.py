@@ -50,7 +50,9 @@ def wander(speed: float = 3.0, height: float = 8.0, seed: int = 0) -> Reference:
     omega = np.array([[0.5, 0.93], [0.61, 1.07], [0.43, 1.29]])
     amplitude = np.array([[0.8, 0.3], [0.7, 0.3], [0.25, 0.12]]) * speed / omega
     phase = rng.uniform(0.0, 2.0 * np.pi, (3, 2))
-    axes = [list(zip(*rows, strict=True)) for rows in zip(omega.tolist(), amplitude.tolist(), phase.tolist(), strict=True)]
+    axes = [
+        list(zip(*rows, strict=True)) for rows in zip(omega.tolist(), amplitude.tolist(), phase.tolist(), strict=True)
+    ]
     at_rest = (0.0, 0.0, -height)
 
     def at(t: float) -> tuple[F64, F64, F64, float]:
