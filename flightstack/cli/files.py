@@ -129,6 +129,12 @@ def is_stream(path: Path) -> bool:
     return path.is_relative_to("/dev") or path.is_relative_to("/proc") or (path.exists() and not path.is_file())
 
 
+def require_place_of_a_log(path: Path | None) -> None:
+    """InputError for a device or a pipe: a log is read again after the flight, and a pipe that nobody reads waits."""
+    if path is not None and is_stream(path) and not path.is_dir():
+        raise InputError(f"log {path}: a device or a pipe can't be read again; choose a file")
+
+
 def write_flight_report(log_path: Path, report_path: Path, result: FlightResult) -> None:
     """Turn the log into the flight's page; `result.report` says where, or `result.report_problem` why not."""
     from flightstack_logs.reader import read

@@ -134,6 +134,7 @@ def prepare_flight(
     gains: what the vehicle has of `[autopilot]`, in place of what its file says; or what tells it of scenario and file.
     on_read: called when all files are read and before much is calculated, which on a new machine is compiled first.
     """
+    files.require_place_of_a_log(options.log)
     scenario, scenario_file = _scenario(options)
     filed, vehicle_file = files.load_vehicle(options.vehicle)
     believed = tuned(filed, gains(scenario, filed) if callable(gains) else gains)

@@ -90,6 +90,7 @@ def open_truth_log(options: SimOptions, vehicle_text: str, path: Path | None = N
     path = path or options.log
     if path is None:
         return None
+    files.require_place_of_a_log(path)
     # half a second of imports, for whoever keeps a log
     from flightstack.cli.versions import versions
     from flightstack_logs.log_clock import clock_metadata

@@ -301,8 +301,12 @@ def test_a_port_in_use_is_said_and_never_shared(tmp_path: Path, capsys: pytest.C
 def test_a_log_that_cannot_be_written_stops_the_flight_before_it_begins(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code = _run("fly", "hover", "--duration", 2, "--log", "/dev/full", "--out", tmp_path)
-    _assert_one_error_line(capsys, code, "/dev/full")
+    os.mkfifo(tmp_path / "pipe")  # that nobody reads: opening it waits for ever
+    flight, simulator = ("fly", "hover", "--duration", 2, "--out", tmp_path), ("sim", "--port", _free_port())
+    for place in ("/dev/full", "/dev/null", "/dev/stdout", tmp_path / "pipe"):
+        for verb in (flight, (*simulator, "--duration", 1)):
+            code = _run(*verb, "--log", place)
+            _assert_one_error_line(capsys, code, f"log {place}")
 
 
 def test_no_heartbeat_is_said_with_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
