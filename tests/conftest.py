@@ -24,7 +24,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_threa
 
 Entry.checked = True  # what a compiled function is promised of its arguments is looked at
 
-settings.register_profile("any machine", suppress_health_check=[HealthCheck.too_slow], derandomize=not THOROUGH)
+settings.register_profile(
+    "any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=not THOROUGH
+)
 settings.load_profile(
     "any machine"
 )  # how soon examples are drawn is the machine's; `make thorough` draws others each time
