@@ -14,7 +14,7 @@ import numpy as np
 from flightstack.gap.records import Flight, Signal
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
 from flightstack.vehicle import Vehicle
-from flightstack_logs.turn import conjugate, multiply
+from flightstack_logs.turn import conjugate, multiply, rotate_inverse
 
 HEADER = (
     "time_s,pos_n_m,pos_e_m,pos_d_m,vel_n_mps,vel_e_mps,vel_d_mps,q_w,q_x,q_y,q_z,rate_x_radps,rate_y_radps,"
@@ -64,13 +64,24 @@ def attitude_of(acc: F64, yaw: F64) -> tuple[F64, F64]:
     return np.concatenate([w[:, None], xyz / (4.0 * w[:, None])], axis=1), size
 
 
-def flown(vehicle: Vehicle, *, seconds: float = 40.0, hz: float = 125.0, seed: int = 0, noise: float = 1.0) -> Flight:
-    """The flight as a log would have it, white noise of NOISE times `noise` on it, all stamps right."""
+def flown(
+    vehicle: Vehicle,
+    *,
+    seconds: float = 40.0,
+    hz: float = 125.0,
+    seed: int = 0,
+    noise: float = 1.0,
+    drag_ps: float = 0.0,
+) -> Flight:
+    """The flight as a log would have it, white noise of NOISE times `noise` on it, all stamps right.
+
+    `drag_ps`: force per mass against the velocity, 1/s, the same in all directions.
+    """
     rng = np.random.default_rng(seed + 1000)
     fine = 1e-3
     t = np.arange(-0.02, seconds + 0.02, fine)
     path = path_at(t, seed)
-    q, thrust = attitude_of(path.acc, 0.4 * np.sin(0.5 * t))
+    q, thrust = attitude_of(path.acc + drag_ps * path.vel, 0.4 * np.sin(0.5 * t))
     turn = multiply(conjugate(q[:-2]), q[2:])
     rate = np.concatenate([[turn[0, 1:]], turn[:, 1:], [turn[-1, 1:]]]) / fine
     turning = np.gradient(rate, fine, axis=0)
@@ -84,6 +95,7 @@ def flown(vehicle: Vehicle, *, seconds: float = 40.0, hz: float = 125.0, seed: i
     rows = slice(20, len(t) - 20, round(1.0 / hz / fine))
     force = np.zeros((len(t), 3))
     force[:, 2] = -thrust
+    force -= drag_ps * rotate_inverse(q, path.vel)
     exact = {"pos_ned_m": path.pos, "vel_ned_mps": path.vel, "q_ned_frd": q}
     exact |= {"rate_frd_radps": rate, "accel_frd_mps2": force}
     signals = {

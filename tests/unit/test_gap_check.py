@@ -11,7 +11,7 @@ import pytest
 from shipped import load_vehicle
 
 from flightstack.gap.check import check
-from flightstack.gap.checks.conventions import _is_better
+from flightstack.gap.checks.agreement import is_better
 from flightstack.gap.checks.offsets import find_offsets
 from flightstack.gap.records import Checked, Flight, Samples, Signal
 from flightstack.types import F64
@@ -29,13 +29,13 @@ def vehicle() -> Vehicle:
 
 
 @cache
-def flight() -> Flight:
-    return flown(vehicle(), seconds=30.0, seed=3, hz=100.0)
+def flight(drag_ps: float = 0.0) -> Flight:
+    return flown(vehicle(), seconds=30.0, seed=3, hz=100.0, drag_ps=drag_ps)
 
 
 @cache
-def right() -> Checked:
-    return check(flight(), vehicle())
+def right(drag_ps: float = 0.0) -> Checked:
+    return check(flight(drag_ps), vehicle())
 
 
 def usable(checked: Checked) -> Samples:
@@ -97,6 +97,20 @@ def _all_enu_flu(log: Flight) -> Flight:
     return _quaternion(lambda q: multiply(multiply(ENU, q), FLIP))(log)
 
 
+def _signs(name: str, *signs: int) -> Callable[[Flight], Flight]:
+    return _turned(name, lambda v: v * np.array(signs, dtype=float))
+
+
+def _about_z(name: str, degrees: float) -> Callable[[Flight], Flight]:
+    """As a sensor tells it that was built in turned by so much about z, clockwise from above."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return _turned(name, lambda v: v @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]).T)
+
+
+def _askew(log: Flight) -> Flight:
+    return _about_z("rate_frd_radps", 135)(_about_z("accel_frd_mps2", 135)(log))
+
+
 def _body_velocity(log: Flight) -> Flight:
     return with_signal(
         log, "vel_ned_mps", rotate_inverse(log.signals["q_ned_frd"].value, log.signals["vel_ned_mps"].value)
@@ -141,16 +155,34 @@ DEFECTS: dict[str, tuple[Callable[[Flight], Flight], str]] = {
     ),
     "quaternion of FLU": (_quaternion(lambda q: multiply(q, FLIP)), "attitude: was body FLU"),
     "quaternion to ENU": (_quaternion(lambda q: multiply(ENU, q)), "attitude: was world ENU"),
+    "gyro's x turned round": (_signs("rate_frd_radps", -1, 1, 1), "gyro: x had the opposite sign"),
+    "gyro's z turned round": (_signs("rate_frd_radps", 1, 1, -1), "gyro: z had the opposite sign"),
+    "gyro turned round": (_signs("rate_frd_radps", -1, -1, -1), "gyro: was in FLU, x had the opposite sign"),
+    "gyro built in to the right": (_about_z("rate_frd_radps", 90), "gyro: was built in turned by 90 degrees"),
+    "gyro built in askew": (_about_z("rate_frd_radps", -45), "gyro: was built in turned by -45 degrees"),
     "all ENU and FLU": (_all_enu_flu, "attitude: was body FLU, world ENU"),
 }
 
 
-@pytest.mark.parametrize("defect", DEFECTS)
+PUSHED: dict[str, tuple[Callable[[Flight], Flight], str]] = {
+    "gravity for force": (_signs("accel_frd_mps2", -1, -1, -1), "accelerometer: x had the opposite sign"),
+    "accelerometer built in backwards": (_signs("accel_frd_mps2", -1, -1, 1), "accelerometer: x and y had the opp"),
+    "accelerometer built in to the left": (
+        _about_z("accel_frd_mps2", -90),
+        "accelerometer: was built in turned by -90",
+    ),
+    "IMU built in askew": (_askew, "accelerometer: was built in turned by 135 degrees"),
+}
+"""Of the side that is felt; in a flight without drag there is none."""
+
+
+@pytest.mark.parametrize("defect", [*DEFECTS, *PUSHED])
 def test_a_defect_is_named_and_put_right(defect: str) -> None:
     """Whatever unit or frame is wrong: said once, and the samples are those of the sound log."""
-    spoil, said = DEFECTS[defect]
-    checked = check(spoil(flight()), vehicle())
-    samples, sound = usable(checked), usable(right())
+    spoil, said = (DEFECTS | PUSHED)[defect]
+    drag_ps = 0.3 if defect in PUSHED else 0.0
+    checked = check(spoil(flight(drag_ps)), vehicle())
+    samples, sound = usable(checked), usable(right(drag_ps))
     assert said in texts(checked, "warning")
     assert len(samples.t_s) == pytest.approx(len(sound.t_s), abs=3)
     middle = slice(100, 2800)
@@ -443,7 +475,7 @@ def test_noise_that_agrees_a_little_better_with_other_noise_is_no_other_conventi
     kept: float, new: float, better: bool
 ) -> None:
     """2.45 and 2.58 of 3: an iris that spins over its place (its file's frames; read as FLU, ENU and km/h before)."""
-    assert _is_better(new, kept, 3.0) is better
+    assert is_better(new, kept, 3.0) is better
 
 
 @pytest.mark.parametrize("offset_m", [-1.5, 30.0])

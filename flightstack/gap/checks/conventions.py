@@ -14,14 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from flightstack.gap.checks.agreement import agreement, correlation, is_better
+from flightstack.gap.checks.imu_axes import STRAIGHT, Mounting, accelerometer_mounting, gyro_mounting
 from flightstack.gap.checks.motion import G_NED, Motion, band, motion, rates_of
-from flightstack.gap.decisions import CONVENTION_CHANCE, CONVENTION_MARGIN, CONVENTION_NEARLY, CONVENTION_POOR, HALF
+from flightstack.gap.decisions import CONVENTION_CHANCE, CONVENTION_MARGIN, HALF
 from flightstack.gap.records import Finding, Signal, warning
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2
-from flightstack_logs.turn import body_to_frd, multiply, rotate, world_to_ned
+from flightstack_logs.turn import body_to_frd, multiply, rotate, rotate_inverse, world_to_ned
 
 GRID_S = 0.04
-_SHIFT_S = 0.4
 _LONGEST_S = 120.0
 _LOW_HZ, _HIGH_HZ = 0.15, 4.0
 _WORLDS = ("ned", "enu", "nwu")
@@ -83,10 +84,11 @@ def settle(signals: Mapping[str, Signal], span_s: tuple[float, float]) -> tuple[
     seen = motion(out, (middle - half, middle + half), GRID_S)
     if seen is None:
         return out, findings
-    seen = _attitude(out, seen, findings)
+    seen, gyro = _attitude(out, seen, findings)
     seen = _velocity_unit(out, seen, findings)
     if unit == "mg":
         seen = _milli_g(out, seen, findings)
+    _accelerometer_axes(out, seen, gyro, findings)
     _position(out, seen, findings)
     return out, findings
 
@@ -130,41 +132,15 @@ def _milli_g(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> M
     return Motion(seen.t_s, seen.dt_s, columns, seen.known)
 
 
-def correlation(a: F64, b: F64, dt_s: float) -> tuple[float, float, float]:
-    """(greatest correlation over shifts within 0.4 s, slope of a on b there, the shift by which b is late, s)."""
-    most = min(int(_SHIFT_S / dt_s), len(a) // 4)
-    size = 1 << int(np.ceil(np.log2(len(a) + most + 1)))
-    product = np.fft.irfft((np.fft.rfft(b, size, axis=0) * np.conj(np.fft.rfft(a, size, axis=0))).sum(axis=1), size)
-    shifted = np.concatenate([product[-most:], product[: most + 1]])
-    power_a, power_b = float(np.sum(a * a)), float(np.sum(b * b))
-    if power_a <= 0.0 or power_b <= 0.0:
-        return 0.0, 0.0, 0.0
-    best = int(np.argmax(shifted))
-    return float(shifted[best]) / np.sqrt(power_a * power_b), float(shifted[best]) / power_b, (best - most) * dt_s
-
-
-def agreement(a: F64, b: F64, dt_s: float) -> float:
-    """Correlation as far as it is none that noise has by chance: else nothing."""
-    found = correlation(a, b, dt_s)[0]
-    return found if found > CONVENTION_CHANCE else 0.0
-
-
 def _limited(values: F64, dt_s: float) -> F64:
     return band(values, dt_s, _LOW_HZ, _HIGH_HZ)
 
 
-def _is_better(new: float, kept: float, perfect: float = 1.0) -> bool:
-    """Whether one sum of correlations is beyond doubt better than another."""
-    gain = new - kept
-    enough = CONVENTION_MARGIN if perfect - new < CONVENTION_POOR else CONVENTION_CHANCE
-    return gain > enough or (gain > CONVENTION_NEARLY and perfect - new < CONVENTION_POOR * (perfect - kept))
-
-
-def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:
-    """Settle attitude, gyro frame and unit, and velocity frame together."""
+def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> tuple[Motion, Mounting]:
+    """Settle attitude, gyro frame and unit, and velocity frame together; the second is how the gyro lies."""
     if "q_ned_frd" not in seen:
         _rates_alone(out, seen, findings)
-        return seen
+        return seen, STRAIGHT
     kept = _Convention()
     known = _Known(seen)
     scores = {kept: _score(kept, known)}
@@ -172,17 +148,17 @@ def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
         scores |= {each: _score(each, known) for each in _CONVENTIONS if each != kept}
     # worlds that all signals share are alike but for rounding: then the usual one
     best = max(scores, key=lambda each: round(scores[each][0] - 0.01 * each.changes, 6))
-    chosen = best if _is_better(scores[best][0], scores[kept][0], _parts(seen)) else kept
-    _, gyro_frame, velocity_frame = scores[chosen]
+    chosen = best if is_better(scores[best][0], scores[kept][0], _parts(seen)) else kept
+    _, gyro, velocity_frame = scores[chosen]
     columns = dict(seen.columns)
     if chosen != kept:
         findings.append(warning("quaternion", f"attitude: was {chosen.said()}; turned into FRD to NED, scalar first"))
         old = out["q_ned_frd"]
         out["q_ned_frd"] = Signal(old.t_s, chosen.read(old.value), old.source)
         columns["q_ned_frd"] = chosen.read(columns["q_ned_frd"])
-    if gyro_frame == "flu":
-        _turn(out, columns, "rate_frd_radps", lambda v: body_to_frd(v, "flu"))
-        findings.append(warning("frames", "gyro: was in FLU; turned into FRD"))
+    if gyro != STRAIGHT:
+        _turn(out, columns, "rate_frd_radps", gyro.turned)
+        findings.append(warning("frames", f"gyro: {gyro.said()}"))
     if velocity_frame in ("enu", "nwu", "neu"):
         _turn(out, columns, "vel_ned_mps", lambda v: world_to_ned(v, velocity_frame))
         findings.append(warning("frames", f"velocity: was {velocity_frame.upper()}; turned into NED"))
@@ -192,7 +168,18 @@ def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
             warning("frames", f"velocity: was in the body frame ({velocity_frame.upper()}); turned into NED")
         )
     seen = Motion(seen.t_s, seen.dt_s, columns, seen.known)
-    return _rates_unit(out, seen, findings)
+    return _rates_unit(out, seen, findings), gyro
+
+
+def _accelerometer_axes(out: dict[str, Signal], seen: Motion, gyro: Mounting, findings: list[Finding]) -> None:
+    if not {"q_ned_frd", "vel_ned_mps", "accel_frd_mps2"} <= seen.columns.keys():
+        return
+    dt_s = seen.dt_s
+    moved = rotate_inverse(seen["q_ned_frd"], np.gradient(seen["vel_ned_mps"], dt_s, axis=0) - G_NED)
+    lies = accelerometer_mounting(_limited(moved, dt_s), _limited(seen["accel_frd_mps2"], dt_s), dt_s, gyro)
+    if lies != STRAIGHT:
+        _turn(out, dict(seen.columns), "accel_frd_mps2", lies.turned)
+        findings.append(warning("frames", f"accelerometer: {lies.said()}"))
 
 
 def _parts(seen: Motion) -> int:
@@ -207,35 +194,32 @@ class _Known:
     def __init__(self, seen: Motion) -> None:
         dt_s = seen.dt_s
         self.seen = seen
-        self.gyro = {}
+        self.gyro: F64 | None = None
         if "rate_frd_radps" in seen:
-            self.gyro = {f: _limited(body_to_frd(seen["rate_frd_radps"], f), dt_s) for f in ("frd", "flu")}
+            self.gyro = _limited(seen["rate_frd_radps"], dt_s)
         self.change = {}
         if "vel_ned_mps" in seen:
             change = _limited(np.gradient(seen["vel_ned_mps"], dt_s, axis=0), dt_s)
             self.change = {frame: world_to_ned(change, frame) for frame in _VECTORS}
-        self.turns: dict[_Convention, tuple[float, str]] = {}
+        self.turns: dict[_Convention, tuple[float, Mounting]] = {}
 
-    def turning(self, each: _Convention, q: F64) -> tuple[float, str]:
-        """(agreement of gyro and attitude, the gyro's frame); the world's frame makes no difference."""
+    def turning(self, each: _Convention, q: F64) -> tuple[float, Mounting]:
+        """(agreement of gyro and attitude, how the gyro lies); the world's frame makes no difference."""
         key = replace(each, world="ned")
-        if key not in self.turns and self.gyro:
+        if key not in self.turns and self.gyro is not None:
             dt_s = self.seen.dt_s
-            turned = _limited(rates_of(q, dt_s), dt_s)
-            given = {frame: agreement(turned, gyro, dt_s) for frame, gyro in self.gyro.items()}
-            frame = "flu" if _is_better(given["flu"], given["frd"]) else "frd"
-            self.turns[key] = (given[frame] - (0.02 if frame == "flu" else 0.0), frame)
-        return self.turns.get(key, (0.0, "frd"))
+            self.turns[key] = gyro_mounting(_limited(rates_of(q, dt_s), dt_s), self.gyro, dt_s)
+        return self.turns.get(key, (0.0, STRAIGHT))
 
 
-def _score(each: _Convention, known: _Known) -> tuple[float, str, str]:
-    """(how well the signals agree, the gyro's frame, the velocity's frame) when the attitude is read this way."""
+def _score(each: _Convention, known: _Known) -> tuple[float, Mounting, str]:
+    """(how well the signals agree, how the gyro lies, the velocity's frame) when the attitude is read this way."""
     seen, dt_s = known.seen, known.seen.dt_s
     q = each.read(seen["q_ned_frd"])
-    total, gyro_frame = known.turning(each, q)
+    total, mounting = known.turning(each, q)
     velocity_frame = "ned"
     if "accel_frd_mps2" not in seen:
-        return total, gyro_frame, velocity_frame
+        return total, mounting, velocity_frame
     world = rotate(q, seen["accel_frd_mps2"])
     total += max(-1.0, -float(world[:, 2].mean()) / STANDARD_GRAVITY_MPS2)
     if known.change:
@@ -245,9 +229,9 @@ def _score(each: _Convention, known: _Known) -> tuple[float, str, str]:
             value = rotate(q, body_to_frd(seen["vel_ned_mps"], frame))
             given[frame] = agreement(_limited(np.gradient(value, dt_s, axis=0), dt_s), felt, dt_s)
         best = max(given, key=lambda frame: given[frame])
-        velocity_frame = best if _is_better(given[best], given["ned"]) else "ned"
+        velocity_frame = best if is_better(given[best], given["ned"]) else "ned"
         total += given[velocity_frame] - (0.02 if velocity_frame != "ned" else 0.0)
-    return total, gyro_frame, velocity_frame
+    return total, mounting, velocity_frame
 
 
 def _turn(out: dict[str, Signal], columns: dict[str, F64], name: str, turn: Callable[[F64], F64]) -> None:
@@ -339,7 +323,7 @@ def _position(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> 
     given = {frame: correlation(velocity, world_to_ned(change, frame), dt_s) for frame in _VECTORS}
     agreed = {frame: each[0] if each[0] > CONVENTION_CHANCE else 0.0 for frame, each in given.items()}
     best = max(agreed, key=lambda frame: agreed[frame])
-    if _is_better(agreed[best], agreed["ned"]):
+    if is_better(agreed[best], agreed["ned"]):
         _turn(out, dict(seen.columns), "pos_ned_m", lambda v: world_to_ned(v, best))
         findings.append(warning("frames", f"position: was {best.upper()}; turned into NED"))
     else:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flightstack.gap.chances import t_limit
-from flightstack.gap.checks.conventions import correlation
+from flightstack.gap.checks.agreement import correlation
 from flightstack.gap.checks.motion import G_NED, Motion, band, integrated, motion, rate_hz, rates_of
 from flightstack.gap.records import Offset, Signal
 from flightstack.types import F64, STANDARD_GRAVITY_MPS2

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.gap.checks.agreement import correlation
 from flightstack.gap.checks.clocks import longest_run
-from flightstack.gap.checks.conventions import correlation
 from flightstack.gap.checks.grid import period_s
 from flightstack.gap.checks.motion import G_NED, band, integrated, motion, rate_hz, rates_of
 from flightstack.gap.checks.rotors import felt_gravity
