@@ -193,6 +193,17 @@ def test_a_defect_is_named_and_put_right(defect: str) -> None:
         assert np.sqrt(np.mean((a - b) ** 2)) < 3.0 * NOISE.get(name, 0.01), name
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_a_gyro_of_another_moment_is_not_taken_for_one_that_lies_otherwise(seed: int) -> None:
+    """Stamps beyond what is searched, or another flight's rates: two that have nothing to do with one another agree
+    somewhat in one of 28 readings."""
+    log = flown(vehicle(), seconds=8.0, seed=seed, hz=100.0)
+    other = flown(vehicle(), seconds=8.0, seed=seed + 100, hz=100.0).signals["rate_frd_radps"].value
+    checked = check(with_signal(log, "rate_frd_radps", other), vehicle())
+    assert "built in" not in texts(checked, "warning")
+    assert "opposite sign" not in texts(checked, "warning")
+
+
 def test_a_handful_of_samples_in_mg_is_no_traceback() -> None:
     """Too few for the checks of motion, enough for a unit."""
     log = _scaled("accel_frd_mps2", 1e3 / 9.80665)(flight())

@@ -65,7 +65,10 @@ def gyro_mounting(turning: F64, gyro: F64, dt_s: float) -> tuple[float, Mounting
     best = flu if is_better(flu[0], straight[0]) else straight
     if best[0] < 1.0 - CONVENTION_MARGIN:
         turned = max((_with_signs(turning, gyro, dt_s, each) for each in _TURNED), key=lambda each: each[0])
-        best = turned if is_better(turned[0], best[0]) else best
+        if turned[0] > 1.0 - CONVENTION_POOR and is_better(
+            turned[0], best[0]
+        ):  # the best of many agrees somewhat by chance
+            best = turned
     return best
 
 
