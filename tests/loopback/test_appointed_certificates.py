@@ -18,6 +18,7 @@ from flightstack.cli.flight import FlyOptions, fly
 from flightstack.cli.replay import replay
 from flightstack_logs.reader import read
 from tests.alone import require_one_thread
+from tests.thorough import thorough
 
 FLIGHT: dict[str, Any] = {"scenario": "paper-barrier", "seed": 2, "duration_s": 8.0}
 
@@ -115,7 +116,7 @@ with Appointed() as appointed:
 """
 
 
-@pytest.mark.parametrize("word", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT, None])
+@pytest.mark.parametrize("word", [signal.SIGKILL, thorough(signal.SIGTERM), signal.SIGINT, None])
 def test_it_ends_with_the_flight_however_that_ends(word: int | None) -> None:
     """Killed, interrupted as a terminal does (both processes), or over."""
     with subprocess.Popen(

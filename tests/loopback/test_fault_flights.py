@@ -84,6 +84,7 @@ def _tracked(fault: str | None, folder: Path, *, seed: int = 0) -> dict[str, obj
     return fly(options, report_wanted=lambda result: False).as_json()
 
 
+@ONLY_THEN
 def test_tracking_degrades_gracefully_on_a_bad_link(tmp_path: Path) -> None:
     """10 % loss, 20 ms jitter, 1 % damage, both ways: a lap at up to 3.3 m/s, flown to its end.
 

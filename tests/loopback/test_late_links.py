@@ -9,6 +9,7 @@ import numpy as np
 
 from flightstack.cli.flight import FlyOptions, fly
 from flightstack_logs.reader import read
+from tests.thorough import ONLY_THEN
 
 LEAN_DEG = 40.0
 """Of figure8 with this vehicle on a quick link, on a real PX4: 32 to 40."""
@@ -22,6 +23,7 @@ def flown(folder: Path, **options: Any) -> tuple[dict[str, Any], float]:
     return result, float(np.degrees(np.arccos(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2).max())))
 
 
+@ONLY_THEN
 def test_figure8_on_a_real_px4s_streams_leans_no_more_on_a_late_link(tmp_path: Path) -> None:
     """Before: 46 degrees (on a real PX4 41 to 64, three flights of four ended), body rates two and a half times as
     large; and with a better IMU a thrust gain of 0.965 +- 0.009 for a true 1."""

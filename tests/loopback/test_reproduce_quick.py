@@ -127,6 +127,7 @@ def test_the_same_command_takes_up_what_is_there_and_writes_the_same(
     assert {row["id"]: row for row in again} == rows
 
 
+@ONLY_THEN
 def test_the_same_seed_flies_the_same_flight_and_another_does_not() -> None:
     first, again, other = (
         fly(TrackingFlight(plant="native", pilot="none", seed=seed, duration_s=2.0), PartContext(Path("unused")))

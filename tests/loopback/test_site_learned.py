@@ -17,6 +17,7 @@ from flightstack.cli.flight import FlyOptions, fly, prepare
 from flightstack.cli.replay import replay
 from flightstack.types import InputError
 from flightstack_logs.reader import read
+from tests.thorough import ONLY_THEN
 
 BOX = """schema = "flightstack.site/1"
 floor_m = 0.3
@@ -65,6 +66,7 @@ def test_it_goes_faster_and_faster_in_all_directions(learnt: Learnt) -> None:
     assert json.dumps(result.as_json())
 
 
+@ONLY_THEN
 def test_its_log_is_replayed_with_the_certificates_that_were_learned(tmp_path: Path) -> None:
     """Each round's is made again, and the next round follows from it: any other would part the ticks."""
     result = certified(tmp_path, duration_s=32.0)

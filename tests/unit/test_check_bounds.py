@@ -20,6 +20,7 @@ from flightstack.certificate_check import check
 from flightstack.cli import checking
 from flightstack.cli.main import main
 from flightstack.types import InputError
+from tests.thorough import THOROUGH
 
 
 @cache
@@ -163,7 +164,7 @@ def test_a_child_that_takes_too_long_or_dies_is_said_to(monkeypatch: pytest.Monk
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux limits a process' data this way")
 def test_the_child_keeps_below_500_mb() -> None:
     """The dearest texts of 10 MB: many small tables, and as many boxes as are looked at."""
-    dear = ["[" + '{"a":0},' * 1_200_000 + "0]", WIDE]
+    dear = ["[" + '{"a":0},' * 1_200_000 + "0]", *[WIDE] * THOROUGH]
     script = (
         "import sys; from flightstack.cli import checking; checking.main(sys.argv[1:]); "
         "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"

@@ -226,7 +226,7 @@ def test_legs_follow_one_another_without_a_step_and_stay_inside() -> None:
             break
         flown += 1
         np.testing.assert_allclose(leg.at(0.0).row, reference.row, atol=1e-9)
-        for e, v, a in _states(leg, 2, 126 if THOROUGH else 23) - [CENTRE[2], 0.0, 0.0]:
+        for e, v, a in _states(leg, 2, 126 if THOROUGH else 13) - [CENTRE[2], 0.0, 0.0]:
             assert value(axis.barrier, e, v) >= 0.098
             assert worst_q(axis, e, v, a) >= -0.05
         assert state.next_s == pytest.approx(t + leg.duration_s)

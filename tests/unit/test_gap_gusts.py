@@ -140,7 +140,7 @@ def test_what_the_signals_show_stays_named_where_gusts_leave_most_of_the_gap(tmp
     ("kind", "seed", "plant", "form", "names"),
     [
         # as slow as what a filter believes of its bias: half of the gusts were taken for that
-        pytest.param("one:turbulence", 5060163, "jsbsim", "mcap", {}, marks=pytest.mark.jsbsim),
+        pytest.param("one:turbulence", 5060163, "jsbsim", "mcap", {}, marks=(ONLY_THEN, pytest.mark.jsbsim)),
         # fitted as if gusts were noise, a load 6 % too large made held-out data worse, and the gusts were not named
         thorough("two", 5060504, "native", "csv", {"payload"}),
         # a wind was named for the mean of gusts 48 m long, which closes most of what they do in 24 s

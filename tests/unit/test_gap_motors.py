@@ -21,7 +21,7 @@ from flightstack.types import InputError
 from flightstack.vehicle import Vehicle, parse_vehicle, vehicle_to_toml
 from flightstack_logs.readers.csv_file import HEADER
 from tests.gap_flights import Flown, fly, hidden, hover, quad, wander
-from tests.thorough import thorough
+from tests.thorough import ONLY_THEN, thorough
 
 DRAG = {"d_x_kgps": 0.45, "d_y_kgps": 0.35, "d_z_kgps": 0.4}
 PAYLOAD_KG = 0.2
@@ -261,6 +261,7 @@ def test_measured_speeds_stand_for_commands(flown: Flown, tmp_path: Path) -> Non
     assert hidden_["motor_lag"] == "hidden"
 
 
+@ONLY_THEN
 def test_a_log_with_slow_motors_beside_a_whole_one_is_no_hindrance(flown: Flown, tmp_path: Path) -> None:
     logs = [
         written(flown, motors, "motor_", tmp_path / f"{k}.csv") for k, motors in enumerate((flown.motor, slow(flown)))
@@ -270,6 +271,7 @@ def test_a_log_with_slow_motors_beside_a_whole_one_is_no_hindrance(flown: Flown,
         analyse(logs[:1], quad(), holdout=logs[1:])
 
 
+@ONLY_THEN
 def test_what_a_hover_shows_as_a_mean_only_is_named(tmp_path: Path) -> None:
     """Four percent of mass and a hundredth of the arm: less than vehicles differ by, and all that is missing here."""
     truth = hidden(quad(), {"payload": {"mass_kg": 0.05}, "com_offset": {"x_m": 0.0015, "y_m": -0.001}})

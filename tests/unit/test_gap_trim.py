@@ -55,6 +55,7 @@ def said(monkeypatch: pytest.MonkeyPatch, left: float, seed: int) -> GapResult:
     return workflow.analyse([Path("flown.csv")], VEHICLE)
 
 
+@ONLY_THEN
 def test_a_weak_rotor_without_a_gyro_has_the_size_that_balances_the_mean_commands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

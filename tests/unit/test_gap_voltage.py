@@ -93,7 +93,8 @@ def test_what_is_not_known_to_be_noise_is_left(spoilt: str) -> None:
     ("kind", "seed", "named"),
     [
         ("one:battery_sag", 110001, ["battery_sag"]),
-        ("outside:fading_thrust", 4620124, []),  # a curve and a payload beside bend the voltage's way into the drift's
+        # a curve and a payload beside bend the voltage's way into the drift's
+        thorough("outside:fading_thrust", 4620124, []),
         thorough("outside:fading_thrust", 5060905, []),  # by its first third a sag was as good
     ],
 )

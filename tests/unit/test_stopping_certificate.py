@@ -117,7 +117,7 @@ def _claimed(row: F64, motions: Sequence[tuple[complex, ...]]) -> F64:
 KINDS = [(Prior(), 0), (Prior(), 4), (Prior(), -1), (Prior(0.94, 1.08, 0.05, 6.0), 0)]
 
 
-@pytest.mark.parametrize(("prior", "at"), [KINDS[0], *(thorough(*kind) for kind in KINDS[1:])])
+@pytest.mark.parametrize(("prior", "at"), [thorough(*kind) for kind in KINDS])
 def test_a_way_that_begins_leaning_far_keeps_its_tube(prior: Prior, at: int) -> None:
     """Motions that none is searched for, driven by the checker's own search: where only speed and what lean adds to it
     counted, the prior's ways were left by up to 2.4 m of 1.1 m claimed (braking), by 1.5 of 0.8 m (sideways)."""
@@ -284,7 +284,9 @@ def test_no_number_that_a_flight_uses_can_be_changed(made: StoppingCertificate, 
     for at, (path, value) in enumerate(leaves(json.loads(text))):
         if path[0] == "learned":  # it is where the prior comes from; what it must not say is above
             continue
-        for factor in (0.99, 1.01) if THOROUGH else (0.99 + 0.02 * (at % 2),):
+        if at % 2 and not THOROUGH:
+            continue
+        for factor in (0.99, 1.01) if THOROUGH else (0.99 + 0.01 * (at % 4),):
             table = json.loads(text)
             _set(*path, to=value * factor if value else 0.01)(table)
             changed = json.dumps(table)
@@ -294,7 +296,7 @@ def test_no_number_that_a_flight_uses_can_be_changed(made: StoppingCertificate, 
             with pytest.raises(InputError, match="does not follow"):
                 require_same(changed, "a.json", again)
             count += 1
-    assert count > 20
+    assert count > (20 if THOROUGH else 10)
 
 
 def test_for_whom_it_holds(made: StoppingCertificate, text: str) -> None:
