@@ -89,14 +89,14 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
     samples = make_samples(flight.name, signals, vehicle, ground_d_m, estimated=flight.kind in _GROUND_OFF_M)
     if samples is None:
         findings.append(_not_flying(flight.kind))
-        return Checked(read, None, tuple(findings), offsets)
+        return Checked(read, None, tuple(_with_reading(findings)), offsets)
     samples, more = exclude_ground_contact(samples, vehicle, standing_m(signals, vehicle, span, ground_d_m))
     findings += more
     samples, more = exclude_stopped_rotors(samples, vehicle)
     findings += more
     if not samples.valid.any():
         findings.append(_not_flying(flight.kind))
-        return Checked(read, None, tuple(findings), offsets)
+        return Checked(read, None, tuple(_with_reading(findings)), offsets)
     if "motor" in signals:
         if not moves(samples):
             text = f"the motors never move: this is not a flight. Record one ({how_to_record(flight.kind)})"
@@ -108,6 +108,7 @@ def check(flight: Flight, vehicle: Vehicle, *, ground_d_m: float = 0.0, kinemati
         findings.append(ok("bias", _FREED_SAYS))
     findings += quality.judge_quality(samples, signals)
     findings += quality.judge_consistency(signals, span, offsets)
+    findings = _with_reading(findings)
     return Checked(read, None if _is_refused(findings) else samples, tuple(findings), offsets)
 
 
@@ -173,6 +174,18 @@ def _without_rare_imu(signals: dict[str, Signal]) -> tuple[dict[str, Signal], li
 
 def _is_refused(findings: list[Finding]) -> bool:
     return any(each.level == "refused" for each in findings)
+
+
+def _with_reading(findings: list[Finding]) -> list[Finding]:
+    """What is refused with units or frames that the log does not say: they may be what is wrong, as with stamps that
+    are off by a second."""
+    changed = "; ".join(each.text for each in findings if each.name in ("units", "frames", "quaternion"))
+    if not changed:
+        return findings
+    return [
+        replace(each, text=f"{each.text}.  It was not read as it says: {changed}") if each.level == "refused" else each
+        for each in findings
+    ]
 
 
 def _not_flying(kind: str) -> Finding:

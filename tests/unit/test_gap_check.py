@@ -107,6 +107,20 @@ def _about_z(name: str, degrees: float) -> Callable[[Flight], Flight]:
     return _turned(name, lambda v: v @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]).T)
 
 
+def _on_its_side(roll: int, yaw: int, *names: str) -> Callable[[Flight], Flight]:
+    """As sensors tell it on a board that was first turned by roll and then by yaw, a quarter turn or none."""
+    c, s = np.cos(np.radians([roll, yaw])), np.sin(np.radians([roll, yaw]))
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, c[0], -s[0]], [0.0, s[0], c[0]]])
+    about_z = np.array([[c[1], -s[1], 0.0], [s[1], c[1], 0.0], [0.0, 0.0, 1.0]])
+
+    def spoil(log: Flight) -> Flight:
+        for name in names or ("rate_frd_radps", "accel_frd_mps2"):
+            log = _turned(name, lambda v: v @ (about_z @ about_x))(log)
+        return log
+
+    return spoil
+
+
 def _askew(log: Flight) -> Flight:
     return _about_z("rate_frd_radps", 135)(_about_z("accel_frd_mps2", 135)(log))
 
@@ -172,6 +186,10 @@ PUSHED: dict[str, tuple[Callable[[Flight], Flight], str]] = {
         "accelerometer: was built in turned by -90",
     ),
     "IMU built in askew": (_askew, "accelerometer: was built in turned by 135 degrees"),
+    "IMU on its side": (_on_its_side(90, 0), "accelerometer: was built in tipped by 90 degrees about x; turned"),
+    "IMU on its other side": (_on_its_side(-90, 180), "gyro: was built in tipped by -90 degrees about x, was built in"),
+    "IMU on its nose": (_on_its_side(90, 90), "accelerometer: was built in tipped by"),
+    "accelerometer on its side": (_on_its_side(90, 0, "accel_frd_mps2"), "accelerometer: was built in tipped by 90"),
 }
 """Of the side that is felt; in a flight without drag there is none."""
 
@@ -202,6 +220,25 @@ def test_a_gyro_of_another_moment_is_not_taken_for_one_that_lies_otherwise(seed:
     checked = check(with_signal(log, "rate_frd_radps", other), vehicle())
     assert "built in" not in texts(checked, "warning")
     assert "opposite sign" not in texts(checked, "warning")
+
+
+@pytest.mark.parametrize("std_mps", [0.2, 0.3, 0.4, 0.5])
+def test_a_noisy_velocity_is_in_no_other_unit(std_mps: float) -> None:
+    """Of one that half agrees with what is felt, half is felt: it was said to be in knots."""
+    log = flight()
+    rng, velocity = np.random.default_rng(0), log.signals["vel_ned_mps"].value
+    slow = np.stack(
+        [np.convolve(each, np.ones(40) / np.sqrt(40.0), "same") for each in rng.normal(size=(3, len(velocity)))]
+    )
+    checked = check(with_signal(log, "vel_ned_mps", velocity + std_mps * slow.T), vehicle())
+    assert "velocity: was in" not in texts(checked, "warning")
+
+
+def test_a_refusal_says_what_was_read_otherwise() -> None:
+    """A circle's velocity that is late by a quarter of it is another frame's: who is refused has to know."""
+    checked = check(late(flight(), "vel_ned_mps", 1.0), vehicle())
+    assert checked.samples is None
+    assert "was not read as it says: attitude: was body FLU, world ENU" in texts(checked, "refused")
 
 
 def test_a_handful_of_samples_in_mg_is_no_traceback() -> None:

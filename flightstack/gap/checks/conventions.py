@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flightstack.gap.checks.agreement import agreement, correlation, is_better
-from flightstack.gap.checks.imu_axes import STRAIGHT, Mounting, accelerometer_mounting, gyro_mounting
+from flightstack.gap.checks.imu_axes import STRAIGHT, Mounting, accelerometer_mounting, gyro_mounting, tip_of
 from flightstack.gap.checks.motion import G_NED, Motion, band, motion, rates_of
 from flightstack.gap.decisions import CONVENTION_CHANCE, CONVENTION_MARGIN, HALF
 from flightstack.gap.records import Finding, Signal, warning
@@ -32,6 +32,8 @@ _TURNS = {"ned": (1.0, 0.0, 0.0, 0.0), "nwu": (0.0, 1.0, 0.0, 0.0), "enu": (0.0,
 _SPEED_UNITS = {"mm/s": 1e3, "cm/s": 1e2, "km/h": 3.6, "ft/s": 1.0 / 0.3048, "knots": 1.0 / 0.514444}
 _LENGTH_UNITS = {"mm": 1e3, "cm": 1e2, "ft": 1.0 / 0.3048, "km": 1e-3}
 _WAS_IN = "accelerometer: was in {}; turned into m/s^2"
+_OFF = 0.15
+"""Share by which sizes may be off and still tell a unit."""
 _ANGULAR_UNITS = {"deg/s": 180.0 / np.pi, "mrad/s": 1e3, "rpm": 30.0 / np.pi}
 
 
@@ -78,13 +80,13 @@ def settle(signals: Mapping[str, Signal], span_s: tuple[float, float]) -> tuple[
     """The signals in SI, NED and FRD with what had to be changed; the flying part is within `span_s`."""
     out = dict(signals)
     findings: list[Finding] = []
-    unit = _accelerometer(out, span_s, findings)
+    unit, tip = _accelerometer(out, span_s, findings)
     middle = 0.5 * (span_s[0] + span_s[1])
     half = 0.5 * min(span_s[1] - span_s[0], _LONGEST_S)
     seen = motion(out, (middle - half, middle + half), GRID_S)
     if seen is None:
         return out, findings
-    seen, gyro = _attitude(out, seen, findings)
+    seen, gyro = _attitude(out, seen, tip, findings)
     seen = _velocity_unit(out, seen, findings)
     if unit == "mg":
         seen = _milli_g(out, seen, findings)
@@ -93,14 +95,16 @@ def settle(signals: Mapping[str, Signal], span_s: tuple[float, float]) -> tuple[
     return out, findings
 
 
-def _accelerometer(out: dict[str, Signal], span_s: tuple[float, float], findings: list[Finding]) -> str:
-    """In the air the mean specific force is one g, along body -z; the unit that it was in."""
+def _accelerometer(
+    out: dict[str, Signal], span_s: tuple[float, float], findings: list[Finding]
+) -> tuple[str, Mounting]:
+    """In the air the mean specific force is one g, along body -z; the unit that it was in, and how it was tipped."""
     signal = out.get("accel_frd_mps2")
     if signal is None:
-        return ""
+        return "", STRAIGHT
     inside = (signal.t_s >= span_s[0]) & (signal.t_s <= span_s[1])
     if not inside.any():
-        return ""
+        return "", STRAIGHT
     value, unit = signal.value, ""
     mean = float(np.median(np.linalg.norm(value[inside], axis=1)))
     for name, factor in (("g", 1.0), ("mg", 1e3)):
@@ -109,11 +113,15 @@ def _accelerometer(out: dict[str, Signal], span_s: tuple[float, float], findings
             value = value * scale
             findings.append(warning("units", _WAS_IN.format(unit)))
             mean *= scale
-    if float(np.median(value[inside][:, 2])) > 0.5 * mean:
+    tip = tip_of(np.median(value[inside], axis=0))
+    if tip != STRAIGHT:
+        value = tip.turned(value)
+        findings.append(warning("frames", f"accelerometer: {tip.said()}"))
+    elif float(np.median(value[inside][:, 2])) > 0.5 * mean:
         value = body_to_frd(value, "flu")
         findings.append(warning("frames", "accelerometer: was in FLU (z up); turned into FRD"))
     out["accel_frd_mps2"] = Signal(signal.t_s, value, signal.source)
-    return unit
+    return unit, tip
 
 
 def _milli_g(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:
@@ -136,13 +144,13 @@ def _limited(values: F64, dt_s: float) -> F64:
     return band(values, dt_s, _LOW_HZ, _HIGH_HZ)
 
 
-def _attitude(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> tuple[Motion, Mounting]:
+def _attitude(out: dict[str, Signal], seen: Motion, tip: Mounting, findings: list[Finding]) -> tuple[Motion, Mounting]:
     """Settle attitude, gyro frame and unit, and velocity frame together; the second is how the gyro lies."""
     if "q_ned_frd" not in seen:
         _rates_alone(out, seen, findings)
         return seen, STRAIGHT
     kept = _Convention()
-    known = _Known(seen)
+    known = _Known(seen, tip)
     scores = {kept: _score(kept, known)}
     if scores[kept][0] < _parts(seen) - CONVENTION_MARGIN:
         scores |= {each: _score(each, known) for each in _CONVENTIONS if each != kept}
@@ -191,9 +199,9 @@ def _parts(seen: Motion) -> int:
 class _Known:
     """What the scores of several conventions share: the measured sides, band-limited once."""
 
-    def __init__(self, seen: Motion) -> None:
+    def __init__(self, seen: Motion, tip: Mounting) -> None:
         dt_s = seen.dt_s
-        self.seen = seen
+        self.seen, self.tip = seen, tip
         self.gyro: F64 | None = None
         if "rate_frd_radps" in seen:
             self.gyro = _limited(seen["rate_frd_radps"], dt_s)
@@ -208,7 +216,7 @@ class _Known:
         key = replace(each, world="ned")
         if key not in self.turns and self.gyro is not None:
             dt_s = self.seen.dt_s
-            self.turns[key] = gyro_mounting(_limited(rates_of(q, dt_s), dt_s), self.gyro, dt_s)
+            self.turns[key] = gyro_mounting(_limited(rates_of(q, dt_s), dt_s), self.gyro, dt_s, self.tip)
         return self.turns.get(key, (0.0, STRAIGHT))
 
 
@@ -266,13 +274,19 @@ def _unit(a: F64, b: F64, dt_s: float, units: Mapping[str, float], least: float)
 
 
 def _unit_of(told: tuple[float, float, float], units: Mapping[str, float], least: float) -> str | None:
-    """The unit whose size explains that a should be b times the slope, within 15 %, where they agree by `least`."""
+    """The unit whose size explains that a should be b times the slope, within 15 %, where they agree by `least`.
+
+    Where all that they lack of agreement is noise of b, a is b times the slope over the agreement's square: that must
+    rule SI out as well.
+    """
     agree, slope, _ = told
     if agree <= least or slope <= 0.0:
         return None
+    if (1.0 - _OFF) * slope < 1.0 < (1.0 + _OFF) * slope / agree**2:
+        return None
     distance = {unit: abs(float(np.log(slope * size))) for unit, size in units.items()}
     best = min(distance, key=lambda unit: distance[unit])
-    return best if distance[best] < 0.15 else None
+    return best if distance[best] < _OFF else None
 
 
 def _rates_unit(out: dict[str, Signal], seen: Motion, findings: list[Finding]) -> Motion:
