@@ -12,7 +12,7 @@ from benchmarks import attack_adversary
 from benchmarks.attack_adversary import GRADIENT, INNER, KNOWN, NOISE, PUSH, SINE, SQUARE, Strategy
 from benchmarks.attack_flight import AttackFlight
 from benchmarks.attack_worlds import World
-from tests.thorough import THOROUGH, thorough
+from tests.thorough import ONLY_THEN, THOROUGH, thorough
 
 pytestmark = pytest.mark.attack
 
@@ -32,6 +32,7 @@ def test_the_known_dither_does_not_take_the_vehicle_out(flight: AttackFlight, se
     held(struck(begun(flight, seed), KNOWN))
 
 
+@ONLY_THEN
 @pytest.mark.jsbsim
 def test_nor_does_it_on_the_other_plant() -> None:
     held(attacked(World(0, plant="jsbsim"), 0, KNOWN))

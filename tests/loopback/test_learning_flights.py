@@ -60,6 +60,7 @@ def test_the_bound_holds_the_true_residual(tmp_path: Path) -> None:
     assert 0.98 < result.gp["coverage_3sigma"] <= 1.0
 
 
+@ONLY_THEN
 def test_px4s_draggy_quadrotor_flies_its_figure_within_8_cm_though_no_drag_is_believed(tmp_path: Path) -> None:
     vehicles = {"vehicle": "px4-sihsim-quadx-no-drag", "truth": "px4-sihsim-quadx"}
     result, _ = _fly(tmp_path, "figure8", duration_s=16.0, sensors="mocap", seed=15, **vehicles)

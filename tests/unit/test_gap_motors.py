@@ -87,6 +87,7 @@ def test_slow_motors_leave_the_side_force_and_the_mean_lift_and_say_so(flown: Fl
         assert drawn.noise[column] == pytest.approx(where[signal].expected_noise, rel=1e-9)
 
 
+@ONLY_THEN
 def test_a_thrust_that_slow_motors_can_only_tell_from_a_load_by_no_drag_is_in_every_class(tmp_path: Path) -> None:
     """Rotors of 0.85 on a vehicle whose file has its drag: as a load of 0.18 of the mass with as much more drag."""
     believed = hidden(quad(), {"linear_drag": DRAG})
@@ -106,6 +107,7 @@ def test_a_weak_rotor_is_a_loads_twin_where_the_mean_commands_tip_as_well(tmp_pa
     assert "rotor_fault" in load.indistinguishable_from
 
 
+@ONLY_THEN
 def test_a_lift_that_is_the_files_leaves_no_load_and_no_twin_and_says_how_much_it_would_have_told(
     tmp_path: Path,
 ) -> None:

@@ -14,8 +14,10 @@ from flightstack.gap.naming.bench import simulator_bench
 from flightstack.gap.naming.design import design
 from flightstack.gap.naming.search import search
 from flightstack.gap.workflow import usable_flights
+from tests.thorough import ONLY_THEN
 
 
+@ONLY_THEN
 def test_a_mass_and_an_inertia_are_no_thrust_scale_when_that_fits_as_well_beside_a_trifle(tmp_path: Path) -> None:
     """Mass 1.234, inertia 1.39, 1.27, 1.24 times the file's: thrust 0.81 and inertia 1.13, 1.03, 1.00 is the same.
 
