@@ -117,21 +117,26 @@ class Flight:
         """Ask for rates, then count all streams over a window of the autopilot's own clock."""
         for name, rate_hz in RATES_HZ.items():
             await getattr(self.telemetry, f"set_rate_{name}")(rate_hz)
-        counts = dict.fromkeys(RATES_HZ, 0)
+        counts, heard = dict.fromkeys(RATES_HZ, 0), asyncio.Event()
 
         async def count(name: str) -> None:
             async for _ in getattr(self.telemetry, f"subscribe_{name}")():
                 counts[name] += 1
+                if all(counts.values()):
+                    heard.set()
 
-        first = await see(self.telemetry.subscribe_attitude_quaternion())
         counting = [asyncio.create_task(count(name)) for name in RATES_HZ]
+        async with asyncio.timeout(PATIENCE_S):
+            await heard.wait()  # a busy machine subscribes late
+        first, before = await see(self.telemetry.subscribe_attitude_quaternion()), dict(counts)
         end_us = first.timestamp_us + RATE_WINDOW_US
         last = await see(self.telemetry.subscribe_attitude_quaternion(), lambda q: q.timestamp_us >= end_us)
+        came = {name: number - before[name] for name, number in counts.items()}
         for task in counting:
             task.cancel()
         await asyncio.gather(*counting, return_exceptions=True)
         seconds = (last.timestamp_us - first.timestamp_us) * 1e-6
-        done("streams", {"asked_hz": RATES_HZ, "came_hz": {name: number / seconds for name, number in counts.items()}})
+        done("streams", {"asked_hz": RATES_HZ, "came_hz": {name: number / seconds for name, number in came.items()}})
 
     async def takes_off(self) -> None:
         """Arms, climbs to the height asked for and holds it."""

@@ -21,6 +21,7 @@ from flightstack import quick_compiling
 from flightstack.cli import compiled
 from flightstack.jit import machine_key, njit
 from flightstack.quick_compiling import typed_once
+from tests.thorough import thorough
 
 ROOT = Path(__file__).resolve().parents[2]
 _CALLED = "from flightstack.jit import njit\n\n\n@njit\ndef scale(x):\n    return {factor} * x\n"
@@ -237,7 +238,7 @@ def test_a_cache_that_was_filled_on_another_processor_is_not_taken_for_compiled(
         machine_key.cache_clear()
 
 
-@pytest.mark.parametrize(("kind", "rest"), [("nbc", 100), ("nbi", 0)])
+@pytest.mark.parametrize(("kind", "rest"), [("nbc", 100), thorough("nbi", 0)])
 def test_code_that_a_power_cut_left_half_written_is_compiled_anew_and_kept(
     kind: str, rest: int, tmp_path: Path
 ) -> None:

@@ -14,9 +14,10 @@ from fake_px4 import LAND, exchange
 from mavlink_bridge import messages as m
 from mavlink_bridge.handshake import State
 from mavlink_bridge.vehicle_view import VehicleView
+from tests.thorough import thorough
 
 
-@pytest.mark.parametrize(("landed", "where"), [(2, "in the air"), (1, "on the ground")])
+@pytest.mark.parametrize(("landed", "where"), [(2, "in the air"), thorough(1, "on the ground")])
 def test_a_landing_that_never_ends_is_left_to_px4(landed: int, where: str) -> None:
     flight = flying()
     companion, _, vehicle, start = flight
