@@ -234,6 +234,16 @@ def test_a_noisy_velocity_is_in_no_other_unit(std_mps: float) -> None:
     assert "velocity: was in" not in texts(checked, "warning")
 
 
+@pytest.mark.parametrize("stuck_mps2", [0.3, 12.0, 25.0])
+def test_an_accelerometer_with_dead_and_stuck_axes_does_not_lie_on_its_side(stuck_mps2: float) -> None:
+    """x stuck at some 9.8 beside a dead z was turned into what carries the vehicle, and the log was used."""
+    felt = flight().signals["accel_frd_mps2"].value.copy()
+    felt[:, 0], felt[:, 2] = stuck_mps2, 0.0
+    checked = check(with_signal(flight(), "accel_frd_mps2", felt), vehicle())
+    assert checked.samples is None
+    assert "tipped" not in texts(checked, "warning")
+
+
 def test_a_refusal_says_what_was_read_otherwise() -> None:
     """A circle's velocity that is late by a quarter of it is another frame's: who is refused has to know."""
     checked = check(late(flight(), "vel_ned_mps", 1.0), vehicle())

@@ -113,7 +113,7 @@ def _accelerometer(
             value = value * scale
             findings.append(warning("units", _WAS_IN.format(unit)))
             mean *= scale
-    tip = tip_of(np.median(value[inside], axis=0))
+    tip = tip_of(value[inside])
     if tip != STRAIGHT:
         value = tip.turned(value)
         findings.append(warning("frames", f"accelerometer: {tip.said()}"))

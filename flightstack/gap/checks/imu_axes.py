@@ -22,6 +22,8 @@ _FLU_PRICE, _YAW_PRICE, _SIGN_PRICE = 0.02, 0.04, 0.05
 """What a reading has to agree better by: in the other frame, turned about z, for each axis of the opposite sign."""
 _ON_ITS_SIDE = 2.0
 """How often as long as the others the component is along which a quadrotor's own thrust is felt."""
+_LIVE_MPS2 = 1e-3
+"""Less than any accelerometer's own noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +71,15 @@ _YAWS_DEG = (45, 90, 135, 180, -135, -90, -45)
 _TURNED = [Mounting(is_flu=flu, yaw_deg=yaw) for flu, yaw in itertools.product((False, True), _YAWS_DEG)]
 
 
-def tip_of(mean: F64) -> Mounting:
-    """How a board lies on whose x or y an accelerometer feels what carries the vehicle; mean (3,) as it was measured.
+def tip_of(felt: F64) -> Mounting:
+    """How a board lies on whose x or y an accelerometer feels what carries the vehicle; felt (N, 3) in flight.
 
-    A quadrotor's rotors push along one axis of the body, however it leans.
+    A quadrotor's rotors push along one axis of the body, however it leans.  An axis that never moves is dead or stuck,
+    and then nothing tells how the others lie.
     """
+    if np.std(felt, axis=0).min() < _LIVE_MPS2:
+        return STRAIGHT
+    mean = np.median(felt, axis=0)
     axis = int(np.argmax(np.abs(mean)))
     if axis == 2 or abs(mean[axis]) < _ON_ITS_SIDE * np.delete(np.abs(mean), axis).max():
         return STRAIGHT
